@@ -1,0 +1,68 @@
+"""The command line: parse, run one command, turn errors into one sentence and an exit code.
+
+A command is one module of this package and one line in `COMMANDS`. The module has `HELP` (one line),
+`EXAMPLE`, `configure(parser)` and `run(args) -> exit code`, and imports what it works with inside `run`,
+so that `phoslab --help` stays fast and no command loads what it does not use.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from phoslab import __version__
+from phoslab.errors import PhoslabError
+
+COMMANDS = ("demo", "doctor", "fit", "presets", "export", "render")
+
+DONE, FAILED, BAD_USAGE = 0, 1, 2  # argparse itself exits with 2
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Build the parser of every command."""
+    parser = argparse.ArgumentParser(
+        prog="phoslab", description="Measure, fit and render glow-in-the-dark materials."
+    )
+    parser.add_argument("--version", action="version", version=f"phoslab {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    for name in COMMANDS:
+        module = importlib.import_module(f"phoslab.app.{name}")
+        command = commands.add_parser(
+            name,
+            help=module.HELP,
+            description=module.__doc__,
+            epilog=f"example:\n  {module.EXAMPLE}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.configure(command)
+        command.set_defaults(run=module.run)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; return 0 (done), 1 (failed) or 2 (bad usage)."""
+    args = build_parser().parse_args(arguments)
+    try:
+        code: int = args.run(args)
+        sys.stdout.flush()
+        return code
+    except PhoslabError as error:
+        print(f"phoslab: {error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        print("phoslab: interrupted; nothing half-written was left.", file=sys.stderr)
+    except BrokenPipeError:
+        # The reader of our output has gone (`phoslab presets | head -1`): not an error of ours.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except Exception as error:
+        if os.environ.get("PHOSLAB_TRACEBACK"):
+            raise
+        print(
+            f"phoslab: internal error: {type(error).__name__}: {error}. "
+            "This is a bug in phoslab: set PHOSLAB_TRACEBACK=1, run again and report what it prints.",
+            file=sys.stderr,
+        )
+    return FAILED

@@ -1,0 +1,35 @@
+"""The one exception that is meant for a person to read."""
+
+from __future__ import annotations
+
+from os import PathLike
+
+
+class PhoslabError(Exception):
+    """Something went wrong that the user can mend.
+
+    Args:
+        problem: what is wrong, as the rest of a sentence ("is negative (-0.1)").
+        remedy: what to do about it, as a sentence of its own.
+        file: the file or folder in which it was found.
+        field: the field, frame or parameter inside it.
+
+    >>> print(PhoslabError("is negative", remedy="Give a rate of 0 or more.", file="a.json", field="kr_per_s[0]"))
+    a.json: kr_per_s[0] is negative. Give a rate of 0 or more.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        remedy: str,
+        file: str | PathLike[str] | None = None,
+        field: str | None = None,
+    ) -> None:
+        self.problem = problem
+        self.remedy = remedy
+        self.file = None if file is None else str(file)
+        self.field = field
+        where = "" if file is None else f"{file}: "
+        subject = "" if field is None else f"{field} "
+        super().__init__(f"{where}{subject}{problem}. {remedy}")
