@@ -28,6 +28,7 @@ class PhoslabError(Exception):
     ) -> None:
         self.problem = problem
         self.remedy = remedy
+        self.remedy = remedy
         self.file = None if file is None else str(file)
         self.field = field
         where = "" if file is None else f"{file}: "

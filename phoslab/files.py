@@ -28,7 +28,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
     except OSError as error:
         raise PhoslabError(
-            f"cannot be written ({error.strerror})", file=target, remedy="Choose a folder that you may write to."
+            f"cannot be written ({error.strerror})",
+            file=target,
+            remedy="Choose a folder that you may write to.",
         ) from error
     os.close(handle)
     temporary = Path(name)
@@ -40,7 +42,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.replace(target)
     except OSError as error:
         raise PhoslabError(
-            f"could not be written ({error.strerror})", file=target, remedy="Check the disk and its free space."
+            f"could not be written ({error.strerror})",
+            file=target,
+            remedy="Check the disk and its free space.",
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
@@ -64,12 +68,16 @@ def inside(folder: Path, name: str, *, file: Path, field: str) -> Path:
     parts = PurePosixPath(name).parts
     remedy = f"Use a plain relative name inside {folder}."
     if not parts or "\\" in name or "\0" in name or PurePosixPath(name).is_absolute() or ".." in parts:
-        raise PhoslabError(f"names {name!r}, which is not a file inside the folder", file=file, field=field, remedy=remedy)
+        raise PhoslabError(
+            f"names {name!r}, which is not a file inside the folder", file=file, field=field, remedy=remedy
+        )
     path = folder
     for part in parts:
         path = path / part
         if path.is_symlink():
-            raise PhoslabError(f"names {name!r}, which is a symbolic link", file=file, field=field, remedy=remedy)
+            raise PhoslabError(
+                f"names {name!r}, which is a symbolic link", file=file, field=field, remedy=remedy
+            )
     return path
 
 
