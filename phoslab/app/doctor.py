@@ -1,0 +1,209 @@
+"""Say what this machine has: Python, OpenGL, camera, serial ports, optional parts; and how to get the rest.
+
+The exit code is 0 when everything that fitting and rendering need is there, 1 when OpenGL is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+HELP = "what this machine has, and how to get the rest"
+EXAMPLE = "phoslab doctor"
+
+# Drivers run in a process of their own: one that crashes or hangs must not take the doctor with it.
+_GL_PROBE = """
+import json, moderngl
+gl = moderngl.create_context(
+    standalone=True, backend="egl", libgl="libGL.so.1", libegl="libEGL.so.1", require=430)
+info = gl.info
+print(json.dumps({"renderer": info["GL_RENDERER"], "version": info["GL_VERSION"],
+                  "max_texture_size": info["GL_MAX_TEXTURE_SIZE"]}))
+"""
+_CAMERA_PROBE = """
+import json, gphoto2
+print(json.dumps({"cameras": [[name, port] for name, port in gphoto2.Camera.autodetect()]}))
+"""
+_PROBE_TIMEOUT_S = 60.0
+_SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader")
+
+
+@dataclass(frozen=True)
+class Part:
+    """One thing that a machine may have.
+
+    `state` is "ok", "missing" (phoslab cannot do without) or "optional" (it can); `remedy` says how
+    to get it, and is empty if there is nothing to get; `details` is for `--json`.
+    """
+
+    name: str
+    state: str
+    found: str
+    remedy: str = ""
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print one JSON object, for machines")
+
+
+def run(args: argparse.Namespace) -> int:
+    import json
+
+    parts = examine()
+    ready = all(part.state != "missing" for part in parts)
+    if args.json:
+        print(json.dumps({"ready": ready, "parts": [asdict(part) for part in parts]}, indent=2))
+    else:
+        for part in parts:
+            print(f"{part.name:<13}{part.state:<10}{_printable(part.found)}")
+            if part.remedy:
+                print(f"{'':<23}-> {part.remedy}")
+    return 0 if ready else 1
+
+
+def examine() -> list[Part]:
+    """Look at everything, the mandatory parts first."""
+    return [_python(), _phoslab(), _gl(), _machine(), _camera(), _serial_ports(), _reference()]
+
+
+def _python() -> Part:
+    import platform
+    import sys
+
+    return Part("Python", "ok", f"{platform.python_version()} ({sys.executable})")
+
+
+def _phoslab() -> Part:
+    from pathlib import Path
+
+    import phoslab
+
+    return Part("phoslab", "ok", f"{phoslab.__version__} ({Path(phoslab.__file__).parent})")
+
+
+def _gl() -> Part:
+    answer, problem = _probe(_GL_PROBE)
+    if problem:
+        return Part("OpenGL", "missing", problem, _gl_remedy(problem))
+    software = any(name in answer["renderer"].lower() for name in _SOFTWARE_RENDERERS)
+    where = "in software: works, slowly" if software else "on the GPU"
+    found = f"{answer['version']}, {answer['renderer']} ({where})"
+    return Part("OpenGL", "ok", found, details={**answer, "software": software})
+
+
+def _gl_remedy(problem: str) -> str:
+    import os
+    import shutil
+
+    if "No module named" in problem:
+        return "phoslab is only half installed: pip install --force-reinstall phoslab"
+    if shutil.which("apt-get"):
+        sudo = "" if os.geteuid() == 0 else "sudo "
+        return f"{sudo}apt-get install libgl1 libegl1 libgl1-mesa-dri"
+    return (
+        "install libGL.so.1, libEGL.so.1 and Mesa's DRI driver (OpenGL 4.3 or newer) "
+        "with this system's package manager"
+    )
+
+
+def _machine() -> Part:
+    import os
+
+    cores = len(os.sched_getaffinity(0))
+    memory_gib = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    return Part(
+        "machine",
+        "ok",
+        f"{cores} cores, {memory_gib:.1f} GiB of memory",
+        details={"cores": cores, "memory_gib": round(memory_gib, 1)},
+    )
+
+
+def _camera() -> Part:
+    from importlib.util import find_spec
+
+    if find_spec("gphoto2") is None:
+        return Part("camera", "optional", "gphoto2 is not installed", "pip install 'phoslab[camera]'")
+    answer, problem = _probe(_CAMERA_PROBE)
+    if problem:
+        return Part("camera", "optional", problem, "pip install --force-reinstall 'phoslab[camera]'")
+    cameras = answer["cameras"]
+    if not cameras:
+        remedy = "connect it by USB, switch it on, and close every other program that uses it"
+        return Part("camera", "optional", "none connected", remedy, answer)
+    return Part("camera", "ok", "; ".join(f"{name} at {port}" for name, port in cameras), details=answer)
+
+
+def _serial_ports() -> Part:
+    import os
+
+    from serial.tools import list_ports
+
+    ports = [
+        {
+            "device": port.device,
+            "usb_id": None if port.vid is None else f"{port.vid:04x}:{port.pid:04x}",
+            "serial_number": port.serial_number,
+            "description": port.description,
+            "writable": os.access(port.device, os.R_OK | os.W_OK),
+        }
+        for port in sorted(list_ports.comports())
+    ]
+    details = {"ports": ports}
+    usb = [port for port in ports if port["usb_id"]]
+    if not usb:
+        others = f" (on board: {', '.join(str(port['device']) for port in ports)})" if ports else ""
+        remedy = "connect the lamp and the door by their USB adapters"
+        return Part("serial ports", "optional", f"none on USB{others}", remedy, details)
+    found = "; ".join(f"{port['device']} [{port['usb_id']}] {port['description']}" for port in usb)
+    if not all(port["writable"] for port in usb):
+        remedy = 'sudo usermod -aG dialout "$USER", then log in again'
+        return Part("serial ports", "optional", f"{found}: not yours to open", remedy, details)
+    return Part("serial ports", "ok", found, details=details)
+
+
+def _reference() -> Part:
+    from importlib.metadata import version
+    from importlib.util import find_spec
+
+    if find_spec("mitsuba") is None:
+        remedy = "pip install 'phoslab[reference]'"
+        return Part("reference", "optional", "the path tracer mitsuba is not installed", remedy)
+    return Part("reference", "ok", f"mitsuba {version('mitsuba')}")
+
+
+def _probe(program: str) -> tuple[dict[str, Any], str]:
+    """Run a Python program that prints one JSON object; return that, or what went wrong."""
+    import json
+    import signal
+    import subprocess
+    import sys
+
+    try:
+        # -P: a file in the current folder must not pass for a library.
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", program],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_PROBE_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return {}, f"its driver did not answer within {_PROBE_TIMEOUT_S:.0f} s"
+    if done.returncode < 0:
+        return {}, f"its driver crashed ({signal.Signals(-done.returncode).name})"
+    if done.returncode > 0:
+        last = done.stderr.strip().splitlines()[-1:] or ["its driver said nothing"]
+        return {}, last[0]
+    answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return answer, ""
+
+
+def _printable(text: str) -> str:
+    """`text` without control characters: a USB device may call itself anything."""
+    return "".join(character if character.isprintable() else "?" for character in text)
