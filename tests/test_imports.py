@@ -1,0 +1,95 @@
+"""What a command loads: `--help` nothing but Python's own modules, a command only what it uses.
+
+How long that takes is a measurement, not a test: `python tests/benchmarks/help_cost.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from phoslab.app.cli import COMMANDS
+
+# Import names of everything that phoslab depends on, extras included.
+DEPENDENCIES = {
+    *("numpy", "scipy", "colour", "rawpy", "cv2", "OpenEXR", "tifffile", "jsonschema", "pebble", "serial"),
+    *(
+        "moderngl",
+        "pygltflib",
+        "xatlas",
+        "PIL",
+        "matplotlib",
+        "jinja2",
+        "rich",
+        "tomli_w",
+        "gphoto2",
+        "mitsuba",
+    ),
+}
+PARTS = {"phoslab.fitting", "phoslab.instruments", "phoslab.render", "phoslab.sample_data", "phoslab.shaders"}
+
+RUN_AND_LIST = """
+import atexit, json, sys
+before = set(sys.modules)
+listing = open(sys.argv.pop(1), "w")
+atexit.register(lambda: json.dump(sorted(set(sys.modules) - before), listing))
+from phoslab.app.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def _loaded(*arguments: str, cwd: Path) -> set[str]:
+    """Run a command and return the names of all modules that it loaded."""
+    listing = cwd / "modules.json"
+    done = subprocess.run(
+        [sys.executable, "-c", RUN_AND_LIST, str(listing), *arguments],
+        cwd=cwd,
+        env={**os.environ, "COLUMNS": "100"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(listing.read_text()))
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--help",), ("--version",), *((command, "--help") for command in COMMANDS)], ids=" ".join
+)
+def test_help_loads_pythons_own_modules_and_the_command_line_only(
+    arguments: tuple[str, ...], tmp_path: Path
+) -> None:
+    loaded = _loaded(*arguments, cwd=tmp_path)
+    assert {
+        name for name in loaded if name.split(".")[0] not in {"phoslab", *sys.stdlib_module_names}
+    } == set()
+    assert not PARTS & loaded
+
+
+@pytest.mark.parametrize(
+    ("arguments", "used"),
+    [
+        ("presets", {"numpy", "jsonschema"}),
+        ("presets --json", {"numpy", "jsonschema"}),
+        ("export green --to csv -o green.csv", {"numpy", "jsonschema"}),
+        ("doctor", {"serial"}),  # the drivers are tried in processes of their own
+    ],
+)
+def test_a_command_loads_only_what_it_uses(arguments: str, used: set[str], tmp_path: Path) -> None:
+    loaded = _loaded(*arguments.split(), cwd=tmp_path)
+    assert loaded & DEPENDENCIES <= used
+    assert not PARTS & loaded
+
+
+def test_import_phoslab_loads_no_dependency(tmp_path: Path) -> None:
+    program = "import sys, phoslab; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True
+    )
+    assert not set(done.stdout.split()) & (DEPENDENCIES | PARTS)
