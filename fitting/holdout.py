@@ -1,0 +1,48 @@
+"""How well a fit predicts frames that it has not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phoslab.fitting.decay import DecayData, DecayFit, choose, fit_candidates
+
+# A prediction may miss a frame by this many standard deviations of the frame's own noise without being wrong.
+NOISE_ALLOWANCE = 3.0
+
+
+@dataclass(frozen=True)
+class HoldOut:
+    """The worst misprediction of the frames held out, by a fit to the others.
+
+    Args:
+        n_states: of the fit.
+        automatic: whether this number of states would have been chosen.
+        worst: largest |predicted - measured| / measured, after `NOISE_ALLOWANCE` σ of noise are taken off.
+        worst_t_s: when, in s since lamp-off.
+    """
+
+    n_states: int
+    automatic: bool
+    worst: float
+    worst_t_s: float
+
+
+def hold_out(data: DecayData) -> list[HoldOut]:
+    """Fit 1, 2, ... states to every second frame and predict the others. Empty if there are too few frames."""
+    seen, unseen = data.take(slice(0, None, 2)), data.take(slice(1, None, 2))
+    if seen.n_values <= 2 + data.signal.shape[1] or not unseen.n_values:
+        return []
+    fits = fit_candidates(seen)
+    chosen = choose(fits)
+    return [_misprediction(fit, unseen, automatic=fit is chosen) for fit in fits]
+
+
+def _misprediction(fit: DecayFit, unseen: DecayData, *, automatic: bool) -> HoldOut:
+    predicted = fit.predict(unseen.t_s, unseen.exposure_s)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        excess = np.abs(predicted - unseen.signal) - NOISE_ALLOWANCE * unseen.sigma
+        relative = np.where(unseen.used, np.clip(excess, 0, None) / np.abs(unseen.signal), 0.0)
+    frame, _ = np.unravel_index(int(np.argmax(relative)), relative.shape)
+    return HoldOut(fit.n_states, automatic, float(relative.max()), float(unseen.t_s[frame]))

@@ -1,0 +1,70 @@
+"""The main job, on recorded sample data: a decay session becomes a material, the material glows in a picture."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+HELP = "fit the sample session, render the sample scene, write one report"
+EXAMPLE = "phoslab demo -o phoslab-demo"
+
+PRESET = "green"
+TIMES = ("off-1s", "off+1s", "off+80s")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("phoslab-demo"), metavar="DIR", help="folder to write into"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+
+
+def run(args: argparse.Namespace) -> int:
+    import json
+    import shutil
+    from importlib.resources import as_file, files
+
+    from phoslab import render
+    from phoslab.app.progress import progress_bar
+    from phoslab.app.report import Picture, write_report
+    from phoslab.fitting import fit_session
+
+    out: Path = args.output
+    samples = files("phoslab.sample_data")
+    with (
+        as_file(samples / "sessions" / "green-decay") as session,
+        progress_bar("decoding frames", quiet=args.json) as progress,
+    ):
+        result = fit_session([session], preset=PRESET, progress=progress)
+    result.material.save(out / "material.json")
+
+    # The scene names material.json, beside it: in the copy, that is the material just fitted.
+    with as_file(samples / "scenes" / "fading") as scene:
+        shutil.copytree(scene, out / "scene", dirs_exist_ok=True)
+    result.material.save(out / "scene" / "material.json")
+    with progress_bar("rendering", quiet=args.json) as progress:
+        frames = render.render(out / "scene", TIMES, progress=progress)
+    pictures = frames.write(out / "glow.png")
+
+    report = out / "report.html"
+    captions = ("Lamp on, one second before it goes off", "1 s after", "80 s after")
+    write_report(
+        report,
+        result,
+        [Picture(p, c) for p, c in zip(pictures, captions, strict=True)],
+        notes=frames.warnings,
+    )
+    if args.json:
+        print(
+            json.dumps(
+                {
+                    "report": str(report),
+                    "material": str(out / "material.json"),
+                    "pictures": [*map(str, pictures)],
+                }
+            )
+        )
+    else:
+        print(result.report())
+        print(f"The report, with pictures: {report.resolve()}")
+    return 0
