@@ -144,11 +144,14 @@ def region_means(
     """Mean signal above black of each colour over `region` of one frame; see `RegionMeans`.
 
     The variance comes from the pixels themselves. With x₋, x₀, x₊ three neighbours of one colour in a row
-    or column, d = x₋ - 2 x₀ + x₊ is free of any linear gradient, and E[d²] = 6 σ² for independent noise;
-    so the mean of d²/6 over the region is the mean noise variance of a pixel, whether the noise is the
-    same everywhere or shot noise that follows the light, and 1/n of it that of the mean. The noise of the
-    black level is not in it, nor is what all pixels share (a lamp that flickers); a sample with a grain as
-    fine as a few pixels makes it too large, never too small.
+    or column, d = x₋ - 2 x₀ + x₊ is free of any linear gradient, and E[d²] = 6 σ² for independent noise of
+    variance σ². Edges would dominate a plain mean of d²/6; but a sensor's noise variance is affine in the
+    signal (read noise plus shot noise), so its mean over the region is its value at the mean signal. It is
+    read off a line through the clipped means of eight groups of equal size, from dim to bright, fitted so
+    that a minority of groups full of edges has no say. 1/n of it is the variance of the mean.
+
+    Not in it: what all pixels share (the black level's error, a lamp that flickers). A sample with a grain
+    of a few pixels makes it too large.
 
     Saturated pixels are left out and counted. A mean with any is too low: shorten the exposure.
 
@@ -397,15 +400,43 @@ def _pixel_variance(
     # LibRaw's patterns repeat after 2 pixels (Bayer) or 6 (X-Trans).
     bayer = np.array_equal(cfa[2:], cfa[:-2]) and np.array_equal(cfa[:, 2:], cfa[:, :-2])
     step = 2 if bayer else 6
-    squares, counts = np.zeros(3), np.zeros(3)
+    before, middle, after = slice(None, -2 * step), slice(step, -step), slice(2 * step, None)
+    differences, signals, of_colour = [], [], []
     for x, c, u in ((linear, colours, use), (linear.T, colours.T, use.T)):
-        before, middle, after = slice(None, -2 * step), slice(step, -step), slice(2 * step, None)
         triple = u[before] & u[middle] & u[after]
-        d = (x[before] - 2 * x[middle] + x[after])[triple].astype(float)
-        squares += np.bincount(c[middle][triple], weights=d * d, minlength=3)[:3]
-        counts += np.bincount(c[middle][triple], minlength=3)[:3]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(squares / 6 / counts)
+        x0, x1, x2 = x[before][triple], x[middle][triple], x[after][triple]
+        differences.append((x0 - 2 * x1 + x2).astype(float))
+        signals.append((x0 + x1 + x2).astype(float) / 3)
+        of_colour.append(c[middle][triple])
+    d, signal, colour = np.concatenate(differences), np.concatenate(signals), np.concatenate(of_colour)
+    return np.array(
+        [
+            _variance_at_mean(d[colour == k], signal[colour == k], linear[use & (colours == k)])
+            for k in range(3)
+        ]
+    )
+
+
+def _variance_at_mean(d: Array, signal: Array, pixels: NDArray[np.float32]) -> float:
+    """Noise variance at the mean of `pixels`, from second differences `d` (n,) at brightness `signal` (n,)."""
+    n_groups = min(8, d.size // 64)
+    if n_groups < 2:
+        return float(np.mean(d**2) / 6) if d.size else float("nan")
+    order = np.argsort(signal)
+    groups = np.array_split(order, n_groups)
+    at = np.array([signal[g].mean() for g in groups])
+    variance = np.array([_clipped_mean_square(d[g]) / 6 for g in groups])
+    # Theil-Sen: the median of the slopes of all pairs does not heed a minority of groups full of edges.
+    i, j = np.triu_indices(n_groups, 1)
+    slope = max(0.0, float(np.median((variance[j] - variance[i]) / np.maximum(at[j] - at[i], 1e-9))))
+    return max(0.0, float(np.median(variance - slope * (at - pixels.mean(dtype=float)))))
+
+
+def _clipped_mean_square(d: Array) -> float:
+    """Mean square of `d` without outliers: those beyond 4 standard deviations as the median sees them."""
+    # The median of the square of a normal deviate is 0.4549. One DN at least: numbers are whole.
+    typical = max(float(np.median(d**2)) / 0.4549, 1.0)
+    return float(np.mean(d[d**2 <= 16 * typical] ** 2))
 
 
 def _job_preview(path: str, largest: int) -> dict[str, Any]:
