@@ -26,10 +26,10 @@ from typing import Any, Protocol, runtime_checkable
 
 import tomli_w
 
-from phoslab import schemas
+from phoslab import journal, schemas
 from phoslab.errors import PhoslabError
 from phoslab.files import replacing, sha256, write_text
-from phoslab.session import JOURNAL_SCHEMA, SCHEMA
+from phoslab.session import SCHEMA
 
 
 @runtime_checkable
@@ -104,7 +104,7 @@ class Recorder:
                 file=self.path,
                 remedy="Choose a folder that you may write to.",
             ) from error
-        self._write("begin", {"schema": JOURNAL_SCHEMA})
+        self._write("begin", {"schema": journal.SCHEMA})
 
     def __enter__(self) -> Recorder:
         return self
@@ -215,9 +215,9 @@ class Recorder:
 
     def _write(self, event: str, fields: Mapping[str, Any]) -> int:
         """Append one line and wait until it is on disk."""
-        journal = self.path / "journal.jsonl"
+        path = self.path / "journal.jsonl"
         if self._journal is None:
-            raise PhoslabError("is closed", file=journal, remedy="Record a new session.")
+            raise PhoslabError("is closed", file=path, remedy="Record a new session.")
         text = json.dumps(self._checked(event, fields), ensure_ascii=False, allow_nan=False) + "\n"
         before = os.fstat(self._journal).st_size
         try:
@@ -231,7 +231,7 @@ class Recorder:
                 os.ftruncate(self._journal, before)
             raise PhoslabError(
                 f"could not be written ({error.strerror})",
-                file=journal,
+                file=path,
                 remedy="Check the disk and its free space.",
             ) from error
         self._seq += 1

@@ -15,22 +15,15 @@ import stat
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from phoslab import schemas
+from phoslab import journal, schemas
 from phoslab.errors import PhoslabError
 from phoslab.files import inside, sha256
+from phoslab.journal import Event
 
 SCHEMA = "phoslab-session/1"
-JOURNAL_SCHEMA = "phoslab-journal/1"
-
-ROLES = ("dark", "flat", "mercury", "led", "filter:NAME", "lamp", "emission", "decay", "excitation")
-
-WALL_JUMP_S = 1.0
-"""A change of wall against monotonic time between two lines that is more than the clocks' own drift."""
 
 # Far above what a plan writes (a line is some 300 bytes), far below what fills a memory.
 _LARGEST_HEADER_BYTES = 1 << 20
@@ -69,18 +62,6 @@ class Header:
 
 
 @dataclass(frozen=True)
-class Event:
-    """One journal line: when it was written (seconds, and RFC 3339 in UTC), its event and own fields."""
-
-    seq: int
-    mono_s: float
-    device_s: float | None
-    wall: str
-    event: str
-    fields: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
 class Edge:
     """A lamp or door that changed at `at_s` (monotonic) and `device_s` (controller's clock or None)."""
 
@@ -97,7 +78,7 @@ class Frame:
     Args:
         path: the file.
         name: its name in frames/.
-        role: one of `ROLES`.
+        role: one of `phoslab.journal.ROLES`.
         start_s: when the shutter opened, on the session's monotonic clock.
         exposure_s: how long it was open.
         iso: the ISO speed setting.
@@ -177,7 +158,7 @@ def _open(folder: Path) -> Session:
     header_bytes = _read(folder, "session.toml", _LARGEST_HEADER_BYTES)
     journal_bytes = _read(folder, "journal.jsonl", _LARGEST_JOURNAL_BYTES)
     header = _read_header(header_bytes, folder / "session.toml")
-    events, warnings = _read_journal(journal_bytes, folder / "journal.jsonl")
+    events, warnings = journal.read(journal_bytes, folder / "journal.jsonl")
     complete = events[-1].event == "end" and events[-1].fields["reason"] == "complete"
     if events[-1].event != "end":
         warnings.append(
@@ -242,61 +223,30 @@ def _size(path: Path, owner: Path, subject: str) -> int:
     return status.st_size
 
 
-def _text(content: bytes, path: Path, where: str) -> str:
-    try:
-        return content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise PhoslabError(
-            f"is not UTF-8 text (byte {error.start})",
-            file=path,
-            field=where,
-            remedy="The file was damaged: copy the session folder again.",
-        ) from None
-
-
-def _check_version(found: Any, known: str, path: Path, where: str) -> None:
-    if found != known:
-        raise PhoslabError(
-            f"is {found!r}, and this phoslab reads {known!r}",
-            file=path,
-            field=where,
-            remedy="Use a version of phoslab that knows this format.",
-        )
-
-
 def _read_header(content: bytes, path: Path) -> Header:
     try:
-        data = tomllib.loads(_text(content, path, "the file"))
+        data = tomllib.loads(journal.decode(content, path, "the file"))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise PhoslabError(
             f"is not valid TOML: {error}", file=path, remedy="Copy the session folder again."
         ) from error
-    _check_version(data.get("schema"), SCHEMA, path, "schema")
+    journal.check_version(data.get("schema"), SCHEMA, path, "schema")
     _check_finite(data, path, "")
     schemas.check(data, "session-1", file=path)
-    _moment(data["started"], path, "started")
+    journal.moment(data["started"], path, "started")
     return Header(
         plan=data["plan"]["name"],
-        parameters=_frozen(data["plan"]["parameters"]),
-        sample=_frozen(data["sample"]),
-        camera=_frozen(data["camera"]),
-        lens=_frozen(data.get("lens", {})),
-        rig=_frozen(data.get("rig", {})),
+        parameters=journal.frozen(data["plan"]["parameters"]),
+        sample=journal.frozen(data["sample"]),
+        camera=journal.frozen(data["camera"]),
+        lens=journal.frozen(data.get("lens", {})),
+        rig=journal.frozen(data.get("rig", {})),
         room_temperature_C=data.get("room_temperature_C"),
         operator=data.get("operator"),
-        software=_frozen(data["software"]),
+        software=journal.frozen(data["software"]),
         started=data["started"],
-        simulated=_frozen(data["simulated"]) if "simulated" in data else None,
+        simulated=journal.frozen(data["simulated"]) if "simulated" in data else None,
     )
-
-
-def _frozen(value: Any) -> Any:
-    """The same tables and lists, read-only."""
-    if isinstance(value, dict):
-        return MappingProxyType({key: _frozen(item) for key, item in value.items()})
-    if isinstance(value, list):
-        return tuple(_frozen(item) for item in value)
-    return value
 
 
 def _check_finite(value: Any, path: Path, where: str) -> None:
@@ -306,118 +256,6 @@ def _check_finite(value: Any, path: Path, where: str) -> None:
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in items:
         _check_finite(item, path, f"{where}.{key}".lstrip("."))
-
-
-def _moment(wall: str, path: Path, where: str) -> datetime:
-    try:
-        return datetime.fromisoformat(wall)
-    except ValueError:
-        raise PhoslabError(
-            f"is {wall!r}, which is no moment",
-            file=path,
-            field=where,
-            remedy="Copy the session folder again.",
-        ) from None
-
-
-def _read_journal(content: bytes, path: Path) -> tuple[tuple[Event, ...], list[str]]:
-    """Every whole line of the journal, checked, and the warnings they give rise to."""
-    warnings = []
-    *lines, rest = content.split(b"\n")
-    if rest:
-        # A line is on disk with its line end or it was being written when the power went.
-        warnings.append(f"{path}: line {len(lines) + 1} is half-written (an interruption) and was left out.")
-    events: list[Event] = []
-    moments: list[datetime] = []
-    for number, line in enumerate(lines, start=1):
-        event = _read_line(_text(line, path, f"line {number}"), path, number)
-        moments.append(_moment(event.wall, path, f"line {number}: wall"))
-        if events:
-            _check_order(events[-1], event, path, number)
-            jump_s = (moments[-1] - moments[-2]).total_seconds() - (event.mono_s - events[-1].mono_s)
-            if abs(jump_s) > WALL_JUMP_S and event.event != "resume":
-                warnings.append(
-                    f"{path}: line {number}: the wall clock jumped by {jump_s:+.1f} s against the monotonic clock: "
-                    "it was set, or the computer slept. Times are taken from the monotonic clock."
-                )
-        events.append(event)
-    if not events:
-        raise PhoslabError(
-            "holds no whole line", file=path, remedy="Nothing was recorded: record the session again."
-        )
-    return tuple(events), warnings
-
-
-def _read_line(text: str, path: Path, number: int) -> Event:
-    where = f"line {number}"
-    data = schemas.read_json(text, file=path, where=where)
-    if not isinstance(data, dict):
-        raise PhoslabError(
-            "is not a JSON object", file=path, field=where, remedy="Copy the session folder again."
-        )
-    if number == 1:
-        if data.get("event") != "begin":
-            raise PhoslabError(
-                f"has the event {data.get('event')!r} where a journal says 'begin'",
-                file=path,
-                field=where,
-                remedy="The journal's beginning is lost: copy the session folder again.",
-            )
-        _check_version(data.get("schema"), JOURNAL_SCHEMA, path, f"{where}: schema")
-    if data.get("event") == "exposure":
-        _check_exposure_names(data, path, where)
-    schemas.check(data, "journal-1", file=path, where=f"{where}: ")
-    if data["seq"] != number - 1:
-        raise PhoslabError(
-            f"is {data['seq']} where {number - 1} follows: a line was lost, added or moved",
-            file=path,
-            field=f"{where}: seq",
-            remedy="Copy the session folder again; a journal is never edited.",
-        )
-    stamps = ("seq", "mono_s", "device_s", "wall", "event")
-    return Event(
-        **{name: data[name] for name in stamps},
-        fields=_frozen({name: value for name, value in data.items() if name not in stamps}),
-    )
-
-
-def _check_exposure_names(data: dict[str, Any], path: Path, where: str) -> None:
-    """Refuse an unsafe file name and an unknown role in words clearer than a pattern that does not match."""
-    if isinstance(name := data.get("frame"), str):
-        inside(path.parent / "frames", name, file=path, field=f"{where}: frame")
-    role = data.get("role")
-    if isinstance(role, str) and role not in ROLES and not role.startswith("filter:"):
-        raise PhoslabError(
-            f"is {role!r}, which is no role",
-            file=path,
-            field=f"{where}: role",
-            remedy=f"Roles: {', '.join(ROLES)}.",
-        )
-
-
-def _check_order(before: Event, event: Event, path: Path, number: int) -> None:
-    if event.mono_s < before.mono_s:
-        raise PhoslabError(
-            f"goes back from {before.mono_s} to {event.mono_s}, which a monotonic clock never does",
-            file=path,
-            field=f"line {number}: mono_s",
-            remedy="Times in this session mean nothing: record it again.",
-        )
-    if event.fields.get("at_mono_s", event.mono_s) > event.mono_s:
-        raise PhoslabError(
-            f"is {event.fields['at_mono_s']}, later than the line itself was written ({event.mono_s})",
-            file=path,
-            field=f"line {number}: at_mono_s",
-            remedy="Times in this session mean nothing: record it again.",
-        )
-    interrupted = before.event == "end" and before.fields["reason"] == "interrupted"
-    if event.event == "begin" or (before.event == "end" and not (interrupted and event.event == "resume")):
-        raise PhoslabError(
-            f"has the event {event.event!r} after {before.event!r}",
-            file=path,
-            field=f"line {number}",
-            remedy="A closed journal is never continued: copy the session folder again.",
-        )
 
 
 def _edges(events: tuple[Event, ...], path: Path) -> tuple[Edge, ...]:
@@ -444,7 +282,7 @@ def _edges(events: tuple[Event, ...], path: Path) -> tuple[Edge, ...]:
 
 
 def _read_frames(folder: Path, events: tuple[Event, ...]) -> tuple[Frame, ...]:
-    journal = folder / "journal.jsonl"
+    lines = folder / "journal.jsonl"
     frames_folder = inside(folder, "frames", file=folder, field="the session")
     frames: dict[str, Frame] = {}
     for event in events:
@@ -455,12 +293,12 @@ def _read_frames(folder: Path, events: tuple[Event, ...]) -> tuple[Frame, ...]:
         if name in frames:
             raise PhoslabError(
                 f"is {name!r}, which an earlier line already names",
-                file=journal,
+                file=lines,
                 field=where,
                 remedy="Copy the session folder again; a journal is never edited.",
             )
-        path = inside(frames_folder, name, file=journal, field=where)
-        n_bytes = _size(path, folder, f"frames/{name} ({journal.name} line {event.seq + 1})")
+        path = inside(frames_folder, name, file=lines, field=where)
+        n_bytes = _size(path, folder, f"frames/{name} ({lines.name} line {event.seq + 1})")
         again = "Copy this frame again from where it was recorded."
         if n_bytes < fields["bytes"]:
             raise PhoslabError(

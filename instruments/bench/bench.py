@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -102,9 +103,8 @@ class Bench:
         for stop_s in sorted({min(max(dark_at_s, self.clock.now_s), end_s), end_s}):
             begin_s = self.clock.now_s
             lit = self._lamp_on or begin_s < dark_at_s
-            self.state, light = self.sample.advance(
-                self.state, stop_s - begin_s, (lambda t, b=begin_s: self._drive(b + t)) if lit else None
-            )
+            drive = partial(self._drive, begin_s) if lit else None
+            self.state, light = self.sample.advance(self.state, stop_s - begin_s, drive)
             total += light
             self.clock.now_s = stop_s
         return total
@@ -131,24 +131,22 @@ class Bench:
         if self.state_at_lamp_off is None:
             raise RuntimeError("the lamp has not been switched off yet")
         fade_s = self.lamp.fade_s
+
+        def fade(since_off_s: float) -> float:
+            return self._full_drive_per_s * self.lamp.level(since_off_s)
+
         # In two pieces for the same reason as in `wait`.
         fading, dark = times_s[times_s < fade_s], times_s[times_s >= fade_s]
-        light = self.sample.afterglow(
-            self.state_at_lamp_off,
-            np.append(fading, fade_s),
-            lambda t: self._full_drive_per_s * self.lamp.level(t),
-        )[:-1]
-        state, _ = self.sample.advance(
-            self.state_at_lamp_off, fade_s, lambda t: self._full_drive_per_s * self.lamp.level(t)
-        )
+        light = self.sample.afterglow(self.state_at_lamp_off, np.append(fading, fade_s), fade)[:-1]
+        state, _ = self.sample.advance(self.state_at_lamp_off, fade_s, fade)
         if dark.size:
             light = np.concatenate([light, self.sample.afterglow(state, dark - fade_s)])
         return light
 
-    def _drive(self, at_s: float) -> float:
-        return self._full_drive_per_s * (
-            1.0 if self._lamp_on else self.lamp.level(at_s - self._lamp_off_at_s)
-        )
+    def _drive(self, begin_s: float, since_s: float) -> float:
+        """Excitation in 1/s, `since_s` after `begin_s`."""
+        since_off_s = begin_s + since_s - self._lamp_off_at_s
+        return self._full_drive_per_s * (1.0 if self._lamp_on else self.lamp.level(since_off_s))
 
 
 def star(shape: tuple[int, int]) -> Array:

@@ -7,6 +7,7 @@ import struct
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -65,7 +66,7 @@ def write_dng(
     flat_cfa = [c for row in sensor.cfa for c in row]
     # Of no consequence here (nothing is demosaiced for its colours), but a DNG must have one: from XYZ to camera.
     matrix = [6988, -1384, -714, -5631, 13410, 2447, -1485, 2204, 7318]
-    tags = [
+    tags: list[tuple[int, int | str, int, Any, bool]] = [
         (271, _ASCII, 0, sensor.make, True),
         (272, _ASCII, 0, sensor.model, True),
         (33421, _SHORT, 2, (2, 2), True),  # CFARepeatPatternDim
@@ -94,7 +95,7 @@ def write_dng(
         metadata=None,
         description=description,
         software="phoslab bench",
-        extratags=tags,
+        extratags=tuple(tags),
     )
     path.write_bytes(_with_exif(buffer.getvalue(), _exif(exposure_s, iso, f_number, taken)))
 
