@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -72,19 +73,32 @@ def test_help_loads_pythons_own_modules_and_the_command_line_only(
     assert not PARTS & loaded
 
 
+COLOUR = {"colour", "matplotlib", "PIL", "scipy"}  # colour-science itself loads Matplotlib
+FIT = {"numpy", "scipy", "jsonschema", "rich", "cv2", "rawpy", "pebble", *COLOUR}
+
+
 @pytest.mark.parametrize(
-    ("arguments", "used"),
+    ("arguments", "dependencies", "parts"),
     [
-        ("presets", {"numpy", "jsonschema"}),
-        ("presets --json", {"numpy", "jsonschema"}),
-        ("export green --to csv -o green.csv", {"numpy", "jsonschema"}),
-        ("doctor", {"serial"}),  # the drivers are tried in processes of their own
+        ("presets", {"numpy", "jsonschema"}, set()),
+        ("presets --json", {"numpy", "jsonschema"}, set()),
+        ("export green --to csv -o green.csv", {"numpy", "jsonschema"}, set()),
+        ("doctor", {"serial"}, set()),  # the drivers are tried in processes of their own
+        ("fit SESSION --preset green -o m.json", FIT, {"phoslab.fitting"}),
+        (
+            "fit SESSION --preset green -o m.json --report m.html",
+            FIT | {"jinja2"},
+            {"phoslab.fitting"},
+        ),
     ],
 )
-def test_a_command_loads_only_what_it_uses(arguments: str, used: set[str], tmp_path: Path) -> None:
-    loaded = _loaded(*arguments.split(), cwd=tmp_path)
-    assert loaded & DEPENDENCIES <= used
-    assert not PARTS & loaded
+def test_a_command_loads_only_what_it_uses(
+    arguments: str, dependencies: set[str], parts: set[str], tmp_path: Path
+) -> None:
+    session = str(files("phoslab.sample_data") / "sessions" / "green-decay")
+    loaded = _loaded(*(session if word == "SESSION" else word for word in arguments.split()), cwd=tmp_path)
+    assert loaded & DEPENDENCIES <= dependencies
+    assert loaded & PARTS <= parts
 
 
 def test_import_phoslab_loads_no_dependency(tmp_path: Path) -> None:
