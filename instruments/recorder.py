@@ -28,7 +28,7 @@ import tomli_w
 
 from phoslab import journal, schemas
 from phoslab.errors import PhoslabError
-from phoslab.files import replacing, sha256, write_text
+from phoslab.files import sha256, write_text
 from phoslab.session import SCHEMA
 
 
@@ -178,18 +178,37 @@ class Recorder:
             raise PhoslabError(
                 "already exists", file=target, remedy="Something else writes into this session: stop it."
             )
-        with replacing(target) as temporary:
+        # Not files.replacing: a device's timeout is an OSError too, and must not be taken for the disk's.
+        temporary = target.with_name(f".{target.stem}-part{target.suffix}")
+        try:
             if callable(source):
                 source(temporary)
             else:
                 shutil.copyfile(source, temporary)
-            line |= {"sha256": sha256(temporary), "bytes": temporary.stat().st_size}
+            line |= self._keep(temporary, target)
+        finally:
+            temporary.unlink(missing_ok=True)
         self._n_frames += 1
-        _sync_folder(self._frames)
         self._write("exposure", line)
         if isinstance(source, Path):
             source.unlink()  # last: until here a crash loses nothing
         return name
+
+    def _keep(self, temporary: Path, target: Path) -> dict[str, Any]:
+        """Give a whole frame its name, once it is on disk; return its checksum and size."""
+        try:
+            with temporary.open("rb") as written:
+                os.fsync(written.fileno())
+            facts = {"sha256": sha256(temporary), "bytes": temporary.stat().st_size}
+            temporary.replace(target)
+            _sync_folder(self._frames)
+        except OSError as error:
+            raise PhoslabError(
+                f"could not be written ({error.strerror})",
+                file=target,
+                remedy="Check the disk and its free space.",
+            ) from error
+        return facts
 
     def close(self, reason: str) -> None:
         """Write the last line, `complete` or `interrupted`; closing twice is harmless."""

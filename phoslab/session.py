@@ -129,7 +129,14 @@ class Session:
         Raises:
             PhoslabError: the folder is no session, or a check failed; the error names file and field.
         """
-        return _open(Path(path))
+        try:
+            return _open(Path(path))
+        except RecursionError:
+            raise PhoslabError(
+                "holds tables or lists that are nested beyond reason",
+                file=path,
+                remedy="phoslab did not write this: copy the session folder again.",
+            ) from None
 
     def frames_of(self, role: str) -> tuple[Frame, ...]:
         """The frames of one role, in order; `filter:` stands for every filter."""
