@@ -40,7 +40,7 @@ class DecayData:
         exposure_s: (n,) exposure times in s.
         signal: (n, n_channels) linear signal a second, in units of the camera.
         sigma: (n, n_channels) standard deviation of its noise; infinite for a value that is left out.
-        repeatability: relative standard deviation of a whole frame (shutter, gain), beside the noise.
+        repeatability: relative standard deviation of a whole frame (shutter, gain), shared by its channels.
         channels: names of the channels.
     """
 
@@ -64,6 +64,20 @@ class DecayData:
     def total_sigma(self) -> Array:
         """(n, n_channels) noise and repeatability together; infinite for a value that is left out."""
         return np.where(self.used, np.hypot(self.sigma, self.repeatability * self.signal), np.inf)
+
+    def whitening(self) -> Array:
+        """Return (n, n_channels, n_channels): matrices that turn a frame's errors into unit, unrelated ones.
+
+        A frame's covariance is D (1 + u uᵀ) D with D = diag(σ) and u = repeatability * signal / σ: the noise of
+        the channels is their own, the frame's scale is common. Its inverse root is closed; rows and columns of
+        values that are left out are 0.
+        """
+        u = self.repeatability * np.where(self.used, self.signal / self.sigma, 0.0)
+        u2 = (u**2).sum(axis=1)
+        shrink = np.divide(1 - 1 / np.sqrt(1 + u2), u2, out=np.zeros_like(u2), where=u2 > 0)
+        roots = np.eye(u.shape[1]) - shrink[:, None, None] * u[:, :, None] * u[:, None, :]
+        matrices: Array = roots / self.sigma[:, None, :]
+        return matrices
 
     @property
     def n_values(self) -> int:
@@ -91,7 +105,7 @@ class DecayFit:
         colour: (n_channels,) C, largest 1.
         covariance: (2 n_c + n_channels - 1,)² of (log kr, colour without its largest, A), as fitted, scaled by
             chi2 / dof where that exceeds 1, so that misfit widens the errors.
-        residual: (n, n_channels) in standard deviations; 0 where a value was left out.
+        residual: (n, n_channels) in standard deviations, whitened; 0 where a value was left out.
         chi2: sum of squares of `residual`.
         dof: values less parameters.
     """
@@ -158,21 +172,22 @@ def fit_decay(data: DecayData, n_states: int) -> DecayFit:
             field="the decay",
             remedy="Take more frames, expose them better, or fit fewer states.",
         )
-    weight = 1 / data.total_sigma
-    y = np.where(data.used, data.signal, 0.0) * weight
-    first_colour, series, series_weight = _first_colour(y, weight)
+    W = data.whitening()
+    y = (W @ np.where(data.used, data.signal, 0.0)[:, :, None])[:, :, 0]
+    first_colour, series, series_weight = _first_colour(data)
     reference = int(np.argmax(first_colour))
     others = np.delete(np.arange(data.signal.shape[1]), reference)
 
     def basis(theta: Array) -> tuple[Array, Array]:
         colour = np.insert(theta[n_states:], reference, 1.0)
         g, dg = _exposed_decay(np.exp(theta[:n_states]), data.t_s, data.exposure_s)
-        phi = (weight * colour)[:, :, None] * g[:, None, :]  # (n, n_channels, n_c)
+        seen = W @ colour  # (n, n_channels)
+        phi = seen[:, :, None] * g[:, None, :]  # (n, n_channels, n_c)
         dphi = np.zeros((theta.size, *phi.shape))
         for i in range(n_states):
-            dphi[i, :, :, i] = (weight * colour) * dg[:, i, None]
+            dphi[i, :, :, i] = seen * dg[:, i, None]
         for j, channel in enumerate(others):
-            dphi[n_states + j, :, channel, :] = weight[:, channel, None] * g
+            dphi[n_states + j] = W[:, :, channel, None] * g[:, None, :]
         return phi.reshape(y.size, n_states), dphi.reshape(theta.size, y.size, n_states)
 
     colour_start = first_colour[others] / first_colour[reference]
@@ -221,8 +236,10 @@ def _exposed_decay(kr: Array, t_s: Array, exposure_s: Array) -> tuple[Array, Arr
     return start * phi, start * (np.exp(-x) - phi - t_s[:, None] * kr * phi)
 
 
-def _first_colour(y: Array, weight: Array) -> tuple[Array, Array, Array]:
-    """Return the colour of largest weight in the data, and the decay seen through it with its weights."""
+def _first_colour(data: DecayData) -> tuple[Array, Array, Array]:
+    """Return a first guess of the colour, and the decay seen through it (n,), weighted, with its weights."""
+    weight = 1 / data.total_sigma
+    y = np.where(data.used, data.signal, 0.0) * weight
     light, information = (y * weight).sum(axis=0), (weight**2).sum(axis=0)
     colour = np.divide(light, information, out=np.zeros_like(light), where=information > 0)
     colour /= np.abs(colour).max() or 1.0

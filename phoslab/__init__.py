@@ -1,8 +1,8 @@
 """phoslab: measure, fit and render phosphorescent materials.
 
 >>> import phoslab
->>> phoslab.preset("green").kr_per_s
-array([0.227])
+>>> phoslab.preset("green").kr_per_s.tolist()
+[0.227]
 """
 
 from __future__ import annotations
@@ -17,10 +17,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-# In a checkout the packages phoslab.render, phoslab.fitting, ... are the folders beside this one.
-_checkout = Path(__file__).resolve().parent.parent
-if (_checkout / "pyproject.toml").is_file():
-    __path__.append(str(_checkout))
+if (Path(__file__).resolve().parent.parent / "pyproject.toml").is_file():
+    importlib.import_module("phoslab.checkout")
 
 _HOME = {"Material": "phoslab.material", "preset": "phoslab.presets"}
 _PACKAGES = ("fitting", "instruments", "kinetics", "render")

@@ -22,8 +22,8 @@ class Bands:
     Args:
         edges_nm: (n_λ + 1,) ascending wavelengths in nm.
 
-    >>> Bands.uniform().widths_nm
-    array([37.5, 37.5, 37.5, 37.5, 37.5, 37.5, 37.5, 37.5])
+    >>> Bands.uniform().widths_nm.tolist()
+    [37.5, 37.5, 37.5, 37.5, 37.5, 37.5, 37.5, 37.5]
     """
 
     edges_nm: Array

@@ -145,8 +145,8 @@ def advance(
 
     >>> import phoslab
     >>> green = phoslab.preset("green")
-    >>> advance(green, [1.0], [0.0] * 8, 1 / green.kr_per_s[0]).round(4)
-    array([0.3679])
+    >>> advance(green, [1.0], [0.0] * 8, 1 / green.kr_per_s[0]).round(4).tolist()
+    [0.3679]
     """
     if solver not in SOLVERS:
         raise PhoslabError(

@@ -71,8 +71,8 @@ class Workers:
         limits: of each job.
 
     >>> with Workers(1) as workers:
-    ...     print(workers.run("math:sqrt", [{"args": [2.25]}, {"args": [-1]}]))
-    [{'value': 1.5}, Failure(reason='failed: ValueError: expected a nonnegative input, got -1.0')]
+    ...     print(workers.run("math:sqrt", [{"args": [2.25]}, {"args": ["two"]}]))
+    [{'value': 1.5}, Failure(reason='failed: TypeError: must be real number, not str')]
     """
 
     def __init__(self, n: int | None = None, limits: Limits | None = None) -> None:

@@ -115,7 +115,7 @@ def _decay_figure(result: FitResult) -> Figure:
     upper.set_ylabel("signal [DN/s at ISO 100, f/1]")
     upper.legend(title="measured (points), fitted (lines)", ncols=3, frameon=False)
     lower.axhline(0, color="0.4", lw=0.8)
-    lower.set_ylabel("measured / fitted − 1 [%]")
+    lower.set_ylabel("misfit [%]")
     lower.set_xlabel("time since lamp-off [s]")
     for axes in (upper, lower):
         axes.grid(alpha=0.25)

@@ -23,8 +23,8 @@ def preset(name: str) -> Material:
     Raises:
         PhoslabError: there is none of that name.
 
-    >>> preset("stickers-2").kr_per_s
-    array([0.132, 0.009])
+    >>> preset("stickers-2").kr_per_s.tolist()
+    [0.132, 0.009]
     """
     if name not in names():
         raise PhoslabError(

@@ -77,6 +77,22 @@ def test_a_value_left_out_does_not_matter():
     assert fit.residual[3, 1] == 0
 
 
+def test_whitening_is_the_inverse_root_of_a_frame_s_covariance():
+    data = replace(decay([0.1], [1.0], sigma=0.01), repeatability=0.05)
+    W = data.whitening()
+    for frame in (0, 20):
+        s = data.signal[frame]
+        covariance = np.diag(data.sigma[frame] ** 2) + 0.05**2 * np.outer(s, s)
+        assert W[frame] @ covariance @ W[frame].T == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_errors_that_channels_share_do_not_average_out():
+    alone = replace(decay([0.03], [1.0], sigma=1e-6), repeatability=0.01)
+    three = fit_decay(alone, 1)
+    one = fit_decay(replace(alone, signal=alone.signal[:, :1], sigma=alone.sigma[:, :1]), 1)
+    assert three.kr_standard_error == pytest.approx(one.kr_standard_error, rel=1e-3)
+
+
 def test_a_channel_without_light_is_no_obstacle():
     data = decay([0.1], [1.0])
     dark = data.signal.copy()
