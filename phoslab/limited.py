@@ -299,6 +299,8 @@ def _unpack(buffer: bytearray) -> dict[str, Any] | None:
         raise ValueError(f"{length} bytes")
     if len(buffer) < 8 + length:
         return None
+    if len(buffer) > 8 + length:
+        raise ValueError("more than one answer")
     try:
         (text_length,) = struct.unpack_from("<I", buffer, 8)
         start = 12 + text_length
