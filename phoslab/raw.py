@@ -10,7 +10,7 @@ Signals are in DN (the sensor's digital numbers) above black, linear in light.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -363,21 +363,34 @@ def _job_means(
         use[y0:y1, x0:x1] = True
     if not use.any():
         return _region_refused("has no pixel in the region")
-    colours, saturated, linear = frame.colours, frame.saturated, frame.linear
-    n_saturated = np.bincount(colours[use & saturated], minlength=3)
-    use &= ~saturated
-    n = np.bincount(colours[use], minlength=3)
-    sums = np.bincount(colours[use], weights=linear[use], minlength=3)
+    n, n_saturated, sums = np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3)
+    differences: list[list[Array]] = [[], [], []]
+    signals: list[list[Array]] = [[], [], []]
+    for cfa, x, u in _planes(frame, use):
+        colour = 1 if cfa == 3 else cfa
+        black, white = frame.black[cfa], frame.white[cfa]
+        clipped = x >= black + SATURATED * (white - black)
+        n_saturated[colour] += np.count_nonzero(u & clipped)
+        u = u & ~clipped
+        n[colour] += np.count_nonzero(u)
+        sums[colour] += x.sum(where=u, dtype=float) - black * np.count_nonzero(u)
+        for d, signal in _second_differences(x, u):
+            differences[colour].append(d)
+            signals[colour].append(signal - black)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums / n
-        variance = _pixel_variance(linear, colours, frame.cfa, use) / n
+        pixel_variance = [
+            _variance_at(mean[k], np.concatenate(differences[k]), np.concatenate(signals[k]))
+            for k in range(3)
+        ]
+        variance = np.array(pixel_variance) / n
     full_scale = (frame.white - frame.black)[[0, 1, 2]]
     full_scale[1] = min(full_scale[1], frame.white[3] - frame.black[3])
     return {
         "mean": mean,
         "variance": variance,
-        "n_pixels": n.astype(np.int64),
-        "n_saturated": n_saturated.astype(np.int64),
+        "n_pixels": n,
+        "n_saturated": n_saturated,
         "full_scale": full_scale,
         "exposure_s": frame.exposure_s,
         "iso": frame.iso,
@@ -390,46 +403,65 @@ def _region_refused(problem: str) -> dict[str, Any]:
     return {"refused": problem, "remedy": "Choose the region in a frame of the same camera and size."}
 
 
-def _pixel_variance(
-    linear: NDArray[np.float32],
-    colours: NDArray[np.uint8],
-    cfa: NDArray[np.uint8],
-    use: NDArray[np.bool_],
-) -> Array:
-    """Mean noise variance of a pixel of each colour (3,), DN²; see `region_means` for why this way."""
-    # LibRaw's patterns repeat after 2 pixels (Bayer) or 6 (X-Trans).
+def _period(cfa: NDArray[np.uint8]) -> int:
+    """After how many pixels the pattern repeats: 2 (Bayer) or 6 (X-Trans)."""
     bayer = np.array_equal(cfa[2:], cfa[:-2]) and np.array_equal(cfa[:, 2:], cfa[:, :-2])
-    step = 2 if bayer else 6
-    before, middle, after = slice(None, -2 * step), slice(step, -step), slice(2 * step, None)
-    differences, signals, of_colour = [], [], []
-    for x, c, u in ((linear, colours, use), (linear.T, colours.T, use.T)):
-        triple = u[before] & u[middle] & u[after]
-        x0, x1, x2 = x[before][triple], x[middle][triple], x[after][triple]
-        differences.append((x0 - 2 * x1 + x2).astype(float))
-        signals.append((x0 + x1 + x2).astype(float) / 3)
-        of_colour.append(c[middle][triple])
-    d, signal, colour = np.concatenate(differences), np.concatenate(signals), np.concatenate(of_colour)
-    return np.array(
-        [
-            _variance_at_mean(d[colour == k], signal[colour == k], linear[use & (colours == k)])
-            for k in range(3)
-        ]
-    )
+    return 2 if bayer else 6
 
 
-def _variance_at_mean(d: Array, signal: Array, pixels: NDArray[np.float32]) -> float:
-    """Noise variance at the mean of `pixels`, from second differences `d` (n,) at brightness `signal` (n,)."""
+def _planes(
+    frame: RawFrame, use: NDArray[np.bool_]
+) -> Iterator[tuple[int, NDArray[np.uint16], NDArray[np.bool_]]]:
+    """Split a frame into planes of one pixel a pattern: LibRaw's colour, values and mask of each.
+
+    All pixels of a plane have one colour, one black level and lie one pattern apart. Only the mask's bounding
+    box is looked at.
+    """
+    period = _period(frame.cfa)
+    rows, columns = np.flatnonzero(use.any(axis=1)), np.flatnonzero(use.any(axis=0))
+    box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+    cfa, values, mask = frame.cfa[box], frame.values[box], use[box]
+    for y in range(min(period, mask.shape[0])):
+        for x in range(min(period, mask.shape[1])):
+            plane = (slice(y, None, period), slice(x, None, period))
+            yield int(cfa[y, x]), values[plane], mask[plane]
+
+
+def _second_differences(x: NDArray[np.uint16], use: NDArray[np.bool_]) -> Iterator[tuple[Array, Array]]:
+    """Second differences of a plane down columns and along rows, where all three pixels count; and their means."""
+    # Some 10^5 triples tell a variance to 1 %: of a large region every k-th row is enough.
+    k = max(1, use.size // 200_000)
+    middle = slice(1, x.shape[0] - 1, k)
+    down = [slice(0, x.shape[0] - 2, k), middle, slice(2, x.shape[0], k)]
+    along = [
+        (slice(None, None, k), slice(0, -2)),
+        (slice(None, None, k), slice(1, -1)),
+        (slice(None, None, k), slice(2, None)),
+    ]
+    for places in (down, along):
+        triple = use[places[0]] & use[places[1]] & use[places[2]]
+        a, b, c = (x[place][triple].astype(float) for place in places)
+        yield a - 2 * b + c, (a + b + c) / 3
+
+
+def _variance_at(mean: float, d: Array, signal: Array) -> float:
+    """Noise variance of a pixel with signal `mean`; see `region_means` for why this way.
+
+    Args:
+        mean: DN above black.
+        d: (n,) second differences.
+        signal: (n,) DN above black where they were taken.
+    """
     n_groups = min(8, d.size // 64)
     if n_groups < 2:
         return float(np.mean(d**2) / 6) if d.size else float("nan")
-    order = np.argsort(signal)
-    groups = np.array_split(order, n_groups)
+    groups = np.array_split(np.argsort(signal), n_groups)
     at = np.array([signal[g].mean() for g in groups])
     variance = np.array([_clipped_mean_square(d[g]) / 6 for g in groups])
     # Theil-Sen: the median of the slopes of all pairs does not heed a minority of groups full of edges.
     i, j = np.triu_indices(n_groups, 1)
     slope = max(0.0, float(np.median((variance[j] - variance[i]) / np.maximum(at[j] - at[i], 1e-9))))
-    return max(0.0, float(np.median(variance - slope * (at - pixels.mean(dtype=float)))))
+    return max(0.0, float(np.median(variance - slope * (at - mean))))
 
 
 def _clipped_mean_square(d: Array) -> float:
@@ -445,7 +477,7 @@ def _job_preview(path: str, largest: int) -> dict[str, Any]:
         return frame
     h, w = frame.values.shape
     # Bins of whole patterns (2 and 6 both divide 6), so that each holds every colour.
-    side = 2 if np.array_equal(frame.cfa[2:], frame.cfa[:-2]) else 6
+    side = _period(frame.cfa)
     side *= max(1, -(-max(h, w) // (side * largest)))
     rows, columns = h // side, w // side
     if rows == 0 or columns == 0:

@@ -99,6 +99,8 @@ def test_messages_survive_the_pipe() -> None:
     for name, array in arrays.items():
         np.testing.assert_array_equal(message[name], array)
         assert message[name].dtype == array.dtype
+    with pytest.raises(ValueError, match="more than one"):
+        _unpack(buffer + b"x")
 
 
 def test_a_script_without_a_main_guard_may_use_workers(tmp_path: Path) -> None:

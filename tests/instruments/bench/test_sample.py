@@ -87,6 +87,11 @@ def test_traps_stay_between_empty_and_full(charged: Array) -> None:
     assert strong.sum() > 0.95  # overwhelming light fills all but the shallowest
 
 
+def test_light_does_not_ionise_a_centre_twice() -> None:
+    assert SAMPLE.light(SAMPLE.capacity, 1.0) == pytest.approx(SAMPLE.light(SAMPLE.capacity), rel=1e-12)
+    assert SAMPLE.light(SAMPLE.capacity / 2, 1.0) > SAMPLE.light(SAMPLE.capacity / 2)
+
+
 def test_the_solution_agrees_with_a_high_order_solver(charged: Array) -> None:
     after, _ = SAMPLE.advance(charged, 100.0)
     reference = solve_ivp(
