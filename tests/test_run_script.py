@@ -248,6 +248,18 @@ def test_an_environment_that_was_cut_short_is_made_anew(machine: Machine) -> Non
     assert not leftover.exists()
 
 
+def test_two_at_once_make_one_environment(machine: Machine) -> None:
+    flock = shutil.which("flock")
+    if flock is None:
+        pytest.skip("flock is not here: apt-get install util-linux")
+    (machine.tools / "flock").symlink_to(flock)
+    (machine.tools / "sleep").symlink_to(str(shutil.which("sleep")))
+    machine.has("python3", PYTHON.replace('cp "$0"', 'sleep 0.2; cp "$0"'))
+    both = [subprocess.Popen([machine.checkout / "run", "test"], env=machine.env) for _ in range(2)]
+    assert [one.wait(timeout=60) for one in both] == [0, 0]
+    assert machine.done.count("-m venv") == 1
+
+
 def test_new_locks_or_a_new_place_make_a_new_environment(machine: Machine) -> None:
     machine.run("test")
     with (machine.checkout / ".lock" / "test.txt").open("a") as lock:
