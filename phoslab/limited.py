@@ -166,6 +166,9 @@ class Workers:
         assert worker.process.stdout is not None
         piece = os.read(worker.process.stdout.fileno(), 1 << 20)
         if not piece:
+            # It has closed its end and is on its way out: its own exit code says why.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                worker.process.wait(1.0)
             code = self._stop(worker)
             if code in (-signal.SIGXCPU, -signal.SIGALRM):
                 return Failure(f"took more than {self.limits.cpu_s:g} s of processor time")
@@ -186,10 +189,6 @@ class Workers:
     def _stop(self, worker: _Worker) -> int:
         self._workers.remove(worker)
         process = worker.process
-        # A worker that has closed its end is on its way out: its own exit code says why.
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            if worker.job is not None and time.monotonic() < worker.deadline:
-                process.wait(0.5)
         process.kill()
         for pipe in (process.stdin, process.stdout):
             assert pipe is not None
@@ -219,6 +218,7 @@ def _start(limits: Limits) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         [
             sys.executable,
+            "-P",  # not even `import json` may come from the current folder, which may be a session's
             "-c",
             "import json, sys; settings = json.loads(sys.argv[1]); sys.path[:] = settings[0]; "
             "from phoslab.limited import _work; _work(*settings[1:])",

@@ -1,0 +1,1 @@
+"""The one simulated laboratory: lamp, door, sample and camera. No driver imports it."""
