@@ -1,0 +1,94 @@
+"""Rendering: a scene and times in, band radiance and pictures out.
+
+>>> import phoslab                                                # doctest: +SKIP
+>>> frames = phoslab.render.render("scenes/fading", ["off-1s", "off+1s"])   # doctest: +SKIP
+>>> frames.write("glow.png")                                      # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from os import PathLike
+
+from phoslab.errors import PhoslabError
+from phoslab.render.device import Device
+from phoslab.render.frames import Frame as Frame
+from phoslab.render.frames import Frames as Frames
+from phoslab.render.phosphor_state import Stepping
+from phoslab.render.renderer import Renderer, RenderParameters
+from phoslab.render.scene import Scene as Scene
+from phoslab.render.scene import load_scene as load_scene
+from phoslab.render.solvers import find_solver
+
+
+def render(
+    scene: Scene | str | PathLike[str],
+    times: Sequence[str | float] | None = None,
+    *,
+    solver: str = "exact",
+    step_s: float = 1 / 60,
+    size: tuple[int, int] | None = None,
+    supersampling: int | None = None,
+    debug: Sequence[str] = (),
+    progress: Callable[[int, int], None] | None = None,
+    device: Device | None = None,
+) -> Frames:
+    """Render a scene at the given times (Nalbach 2017, 8.5).
+
+    Args:
+        scene: a `Scene`, or the path of a scene.toml or of its folder.
+        times: seconds, or text as in a scene file (`off+80s`); None: those of the scene.
+        solver: "exact" (any stretch of constant light in one step) or "euler" (the paper's).
+        step_s: the step of "euler", in s.
+        size: (width, height) in pixels; None: the scene's.
+        supersampling: samples along the side of a pixel; None: the scene's.
+        debug: names of passes whose results are to come with the frames.
+        progress: called with (frames done, frames in all).
+        device: the OpenGL device to use; None: one of its own, released at the end.
+
+    Returns:
+        One frame a time, in the order asked for.
+
+    Raises:
+        PhoslabError: the scene, a time or the solver is wrong, Euler would overshoot, or there is no OpenGL.
+    """
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    find_solver(solver)
+    if not 0 < step_s < float("inf"):
+        raise PhoslabError(f"is {step_s:g}", field="the step", remedy="Give a positive number of seconds.")
+    labels = [t if isinstance(t, str) else f"{t:g}" for t in (scene.times if times is None else times)]
+    moments = [scene.schedule.parse_time(t) if isinstance(t, str) else float(t) for t in times or labels]
+    parameters = RenderParameters(
+        size=size or scene.size,
+        supersampling=supersampling or scene.supersampling,
+        stepping=Stepping(solver, step_s),
+        debug=tuple(debug),
+    )
+    if device is None:
+        with Device() as own:
+            return _render(own, scene, labels, moments, parameters, progress)
+    with device.scope():
+        return _render(device, scene, labels, moments, parameters, progress)
+
+
+def _render(
+    device: Device,
+    scene: Scene,
+    labels: Sequence[str],
+    moments: Sequence[float],
+    parameters: RenderParameters,
+    progress: Callable[[int, int], None] | None,
+) -> Frames:
+    renderer = Renderer(device, scene, parameters)
+    frames: dict[int, Frame] = {}
+    # In ascending order, since the state only runs forwards.
+    for k in sorted(range(len(moments)), key=moments.__getitem__):
+        frames[k] = renderer.frame(moments[k], labels[k])
+        if progress is not None:
+            progress(len(frames), len(moments))
+    return Frames(
+        tuple(frames[k] for k in range(len(moments))),
+        scene=scene.file.parent.name,
+        solver=parameters.stepping.solver,
+        exposures=scene.exposures,
+    )

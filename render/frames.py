@@ -1,0 +1,131 @@
+"""Rendered pictures: band radiance first, colour only when they are shown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.bands import Bands
+from phoslab.colorimetry import xyz_matrix, xyz_to_linear_srgb
+from phoslab.errors import PhoslabError
+from phoslab.render.passes import Picture
+from phoslab.render.scene import Exposure
+
+# An automatic exposure brings this share of the pixels that are not dark below display white.
+AUTO_PERCENTILE, AUTO_LEVEL = 99.0, 0.9
+AUTO_DARK = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The scene at one time.
+
+    Args:
+        time_s: seconds of the scene's schedule.
+        label: the time as it was asked for.
+        bands: the K transport bands.
+        radiance: (h, w, K) band-mean radiance in the scene's units, W m⁻² sr⁻¹ nm⁻¹ in an absolute scene; top row
+            first.
+        warnings: what to know before trusting the picture.
+        debug: (h, w, 3) views of passes in [0, 1], by `PASS.VIEW`.
+    """
+
+    time_s: float
+    label: str
+    bands: Bands
+    radiance: NDArray[np.float32]
+    warnings: tuple[str, ...] = ()
+    debug: Mapping[str, Picture] = field(default_factory=dict)
+
+    @cached_property
+    def xyz(self) -> NDArray[np.float32]:
+        """(h, w, 3) CIE 1931 XYZ; Y in cd/m² in an absolute scene."""
+        return (self.radiance.astype(np.float64) @ xyz_matrix(self.bands)).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Frames of one scene, in the order asked for, and how to show them."""
+
+    frames: tuple[Frame, ...]
+    scene: str
+    solver: str
+    exposures: tuple[Exposure, ...]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self.frames[index]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The warnings of all frames, each once."""
+        return tuple(dict.fromkeys(w for frame in self.frames for w in frame.warnings))
+
+    def exposure_of(self, frame: Frame) -> float:
+        """Return the factor from luminance to display white that is in force at the frame's time.
+
+        An automatic one is chosen on the earliest of these frames to which it applies, and kept: what fades is
+        then seen to fade.
+        """
+        at = max(k for k, e in enumerate(self.exposures) if e.from_s <= frame.time_s)
+        factor = self.exposures[at].factor
+        if factor is not None:
+            return factor
+        end = self.exposures[at + 1].from_s if at + 1 < len(self.exposures) else np.inf
+        shown = [f for f in self.frames if self.exposures[at].from_s <= f.time_s < end]
+        return auto_exposure(min(shown, key=lambda f: f.time_s).xyz)
+
+    def write(self, out: str | PathLike[str]) -> list[Path]:
+        """Write every frame as PNG (display colours) or EXR (bands and XYZ), by the suffix of `out`.
+
+        Several frames have their time in the name: `glow.png` becomes `glow-off+80s.png`. Debug views lie beside.
+
+        Returns:
+            The files written. Each is whole or absent.
+
+        Raises:
+            PhoslabError: the suffix is another, or the folder cannot be written to.
+        """
+        from phoslab.render import images
+
+        out = Path(out)
+        check_suffix(out)
+        written = []
+        for frame in self.frames:
+            path = out if len(self) == 1 else out.with_name(f"{out.stem}-{frame.label}{out.suffix}")
+            if out.suffix == ".exr":
+                images.write_exr(path, frame, scene=self.scene, solver=self.solver)
+            else:
+                images.write_png(
+                    path, frame, scene=self.scene, solver=self.solver, exposure=self.exposure_of(frame)
+                )
+            written.append(path)
+            for name, view in frame.debug.items():
+                beside = path.with_name(f"{path.stem}.{name}.png")
+                images.write_view(beside, view)
+                written.append(beside)
+        return written
+
+
+def check_suffix(out: Path) -> None:
+    """Refuse a file name whose kind cannot be written: better before rendering than after."""
+    if out.suffix not in (".png", ".exr"):
+        raise PhoslabError(
+            f"has the suffix {out.suffix!r}", file=out, remedy="Name a .png or .exr file to write."
+        )
+
+
+def auto_exposure(xyz: NDArray[np.float32]) -> float:
+    """Return the factor that shows (h, w, 3) XYZ well: bright, with next to nothing clipped."""
+    rgb = xyz.astype(np.float64) @ xyz_to_linear_srgb()
+    brightest = np.maximum(rgb.max(axis=-1), 0.0)
+    seen = brightest[brightest > AUTO_DARK * brightest.max(initial=0.0)]
+    return AUTO_LEVEL / float(np.percentile(seen, AUTO_PERCENTILE)) if seen.size else 1.0

@@ -1,0 +1,328 @@
+"""Geometry, base colours, cameras and punctual lights out of a glTF 2.0 file.
+
+What is read: node hierarchy, triangle primitives (lists, strips, fans) with POSITION, NORMAL and TEXCOORD_0,
+base colour factor and texture, perspective cameras, KHR_lights_punctual. Distances are metres. A light's colour,
+intensity and range are left aside: `scene.toml` gives lights a spectrum and an irradiance.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.errors import PhoslabError
+from phoslab.render.geometry import Geometry, build
+from phoslab.render.gltf_accessors import REMEDY, Buffers
+
+Matrix = NDArray[np.float64]
+
+SUPPORTED_EXTENSIONS = {"KHR_lights_punctual", "KHR_materials_unlit", "KHR_mesh_quantization"}
+MAX_DEPTH = 256  # of the node hierarchy; a deeper one is a cycle or an attack
+MAX_IMAGE_PIXELS = 1 << 26
+
+
+@dataclass(frozen=True, eq=False)
+class GltfInstance:
+    """One primitive of a mesh, placed by a node.
+
+    Args:
+        node, mesh: names; "" where the file gives none.
+        geometry: in the mesh's own space; the same object for every instance of the mesh.
+        model_to_world: (4, 4).
+        base_colour: (h, w, 3) linear sRGB in [0, 1]; 1 x 1 where there is no texture.
+    """
+
+    node: str
+    mesh: str
+    geometry: Geometry
+    model_to_world: Matrix
+    base_colour: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class GltfLight:
+    """A punctual light: `kind` is "directional", "point" or "spot"; cone angles in rad from its axis."""
+
+    name: str
+    kind: str
+    position_w: Matrix
+    direction_w: Matrix
+    inner_cone_rad: float
+    outer_cone_rad: float
+
+
+@dataclass(frozen=True, eq=False)
+class GltfCamera:
+    """A perspective camera: vertical field of view in rad, near plane in m, (4, 4) world to view."""
+
+    name: str
+    world_to_view: Matrix
+    yfov_rad: float
+    near_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class GltfModel:
+    """What one file holds, its hierarchy flattened; `warnings` say what was left aside."""
+
+    instances: tuple[GltfInstance, ...]
+    lights: tuple[GltfLight, ...]
+    cameras: tuple[GltfCamera, ...]
+    warnings: tuple[str, ...]
+
+
+def load_gltf(file: Path) -> GltfModel:
+    """Read a .glb or .gltf file.
+
+    Raises:
+        PhoslabError: the file is missing, malformed or asks for an extension that is not supported.
+    """
+    try:
+        return _Reader(file).read()
+    except PhoslabError:
+        raise
+    except Exception as error:  # a malformed file can break the parser, or us, in any way
+        raise PhoslabError(
+            f"cannot be read as glTF 2.0 ({type(error).__name__}: {error})", file=file, remedy=REMEDY
+        ) from error
+
+
+class _Reader:
+    def __init__(self, file: Path) -> None:
+        import pygltflib
+
+        if not file.is_file():
+            raise PhoslabError("is missing", file=file, remedy="Put the glTF file there, or name another.")
+        if file.suffix == ".glb":
+            self.document = pygltflib.GLTF2.load_from_bytes(file.read_bytes())
+        else:
+            self.document = pygltflib.GLTF2.gltf_from_json(file.read_text(encoding="utf-8"))
+        self.file = file
+        if self.document is None:
+            raise PhoslabError("is not a glTF 2.0 file", file=file, remedy=REMEDY)
+        if not str(self.document.asset.version).startswith("2."):
+            raise PhoslabError(
+                f"is glTF {self.document.asset.version}, which is not 2.x",
+                file=file,
+                field="asset.version",
+                remedy=REMEDY,
+            )
+        self.buffers = Buffers(self.document, file)
+        unknown = sorted(set(self.document.extensionsRequired or []) - SUPPORTED_EXTENSIONS)
+        if unknown:
+            raise self.buffers.error(
+                "extensionsRequired",
+                f"holds {unknown[0]!r}, which phoslab does not know",
+                "Export without it.",
+            )
+        self._primitives: dict[tuple[int, int], Geometry] = {}
+        self._colours: dict[int | None, NDArray[np.float32]] = {}
+
+    def read(self) -> GltfModel:
+        instances: list[GltfInstance] = []
+        lights: list[GltfLight] = []
+        cameras: list[GltfCamera] = []
+        for node, to_world in self._walk():
+            name = str(node.name or "")
+            if node.mesh is not None:
+                instances += self._instances(node, name, to_world)
+            if node.camera is not None:
+                cameras += self._camera(node.camera, name, to_world)
+            if "KHR_lights_punctual" in (node.extensions or {}):
+                lights.append(self._light(node.extensions["KHR_lights_punctual"]["light"], name, to_world))
+        ignored = [
+            what
+            for what, there in (
+                ("animations", self.document.animations),
+                ("skins", self.document.skins),
+                ("morph targets", any(p.targets for m in self.document.meshes for p in m.primitives)),
+            )
+            if there
+        ]
+        warnings = (f"{self.file.name}: {' and '.join(ignored)} are left aside",) if ignored else ()
+        return GltfModel(tuple(instances), tuple(lights), tuple(cameras), warnings)
+
+    def _walk(self) -> Iterator[tuple[Any, Matrix]]:
+        """Yield every node of the scene with its transformation to world space."""
+        nodes = self.document.nodes
+        if self.document.scenes:
+            roots = self.document.scenes[self.document.scene or 0].nodes or []
+        else:
+            children = {c for n in nodes for c in n.children or []}
+            roots = [i for i in range(len(nodes)) if i not in children]
+        stack = [(i, np.eye(4), 0) for i in reversed(roots)]
+        visited = set()
+        while stack:
+            index, parent, depth = stack.pop()
+            if depth > MAX_DEPTH or index in visited or index < 0:
+                raise self.buffers.error(f"nodes[{index}]", "is part of a hierarchy that is not a tree")
+            visited.add(index)
+            to_world = parent @ _local(nodes[index])
+            if not np.isfinite(to_world).all():
+                raise self.buffers.error(f"nodes[{index}]", "has a transformation that is not finite")
+            yield nodes[index], to_world
+            stack += [(c, to_world, depth + 1) for c in reversed(nodes[index].children or [])]
+
+    def _instances(self, node: Any, name: str, to_world: Matrix) -> list[GltfInstance]:
+        if abs(np.linalg.det(to_world[:3, :3])) < 1e-30:
+            raise self.buffers.error(
+                f"node {name!r}", "is scaled to nothing", "Give it a scale that is not 0."
+            )
+        mesh = self.document.meshes[node.mesh]
+        return [
+            GltfInstance(
+                node=name,
+                mesh=str(mesh.name or ""),
+                geometry=self._geometry(node.mesh, p),
+                model_to_world=to_world,
+                base_colour=self._base_colour(primitive.material),
+            )
+            for p, primitive in enumerate(mesh.primitives)
+        ]
+
+    def _geometry(self, mesh_index: int, primitive_index: int) -> Geometry:
+        key = (mesh_index, primitive_index)
+        if key not in self._primitives:
+            mesh = self.document.meshes[mesh_index]
+            where = f"mesh {mesh.name or mesh_index!r}"
+            self._primitives[key] = self._read_primitive(mesh.primitives[primitive_index], where)
+        return self._primitives[key]
+
+    def _read_primitive(self, primitive: Any, where: str) -> Geometry:
+        attributes = primitive.attributes
+        if attributes.POSITION is None:
+            raise self.buffers.error(where, "has no positions")
+        positions = self._vectors(attributes.POSITION, 3, where, "position")
+        n = len(positions)
+        order = np.arange(n, dtype=np.uint32)
+        if primitive.indices is not None:
+            order = self.buffers.read_accessor(primitive.indices)[:, 0].astype(np.uint32)
+        if order.size and int(order.max()) >= n:
+            raise self.buffers.error(where, f"has a vertex index beyond its {n} vertices")
+        triangles = self._triangles(order, primitive.mode, where)
+        uv = None
+        if attributes.TEXCOORD_0 is not None:
+            uv = self._vectors(attributes.TEXCOORD_0, 2, where, "texture coordinate")
+        normals = None
+        if attributes.NORMAL is not None:
+            normals = self.buffers.read_accessor(attributes.NORMAL).astype(np.float32)
+        for other in (uv, normals):
+            if other is not None and len(other) != n:
+                raise self.buffers.error(where, "has attributes of unlike length")
+        geometry = build(positions, normals, triangles, uv)
+        if not len(geometry.triangles):
+            raise self.buffers.error(where, "has no triangle with an area", "Remove it, or mend it.")
+        return geometry
+
+    def _vectors(self, accessor: int, width: int, where: str, what: str) -> NDArray[np.float32]:
+        values = self.buffers.read_accessor(accessor).astype(np.float32)
+        if values.shape[1] != width:
+            raise self.buffers.error(where, f"has a {what} that is not of {width} numbers")
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if bad.size:
+            raise self.buffers.error(
+                where, f"has a {what} that is not finite, at vertex {bad[0]}", "Mend or remove that vertex."
+            )
+        return values
+
+    def _triangles(self, order: NDArray[np.uint32], mode: int | None, where: str) -> NDArray[np.uint32]:
+        mode = 4 if mode is None else mode
+        if mode == 4:
+            return order[: order.size // 3 * 3].reshape(-1, 3)
+        if mode == 5:  # strip: every second triangle turns the other way
+            strip = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
+            strip[1::2] = strip[1::2, [1, 0, 2]]
+            return strip
+        if mode == 6:  # fan
+            return np.stack([np.full(max(order.size - 2, 0), order[0]), order[1:-1], order[2:]], axis=1)
+        raise self.buffers.error(where, "is made of points or lines", "Only triangles can be rendered.")
+
+    def _base_colour(self, index: int | None) -> NDArray[np.float32]:
+        if index not in self._colours:
+            factor, texture = np.ones(3), None
+            if index is not None:
+                pbr = self.document.materials[index].pbrMetallicRoughness
+                if pbr is not None:
+                    factor = np.array(pbr.baseColorFactor or [1.0] * 4, dtype=np.float64)[:3]
+                    texture = pbr.baseColorTexture
+            if factor.shape != (3,) or not ((factor >= 0) & (factor <= 1)).all():
+                raise self.buffers.error(f"materials[{index}]", "has a base colour outside 0..1")
+            colour = factor[None, None, :]
+            if texture is not None:
+                colour = colour * self._image(self.document.textures[texture.index].source)
+            self._colours[index] = colour.astype(np.float32)
+        return self._colours[index]
+
+    def _image(self, index: int) -> NDArray[np.float64]:
+        """Return (h, w, 3) linear sRGB of an image; its first row is v = 0, as glTF counts."""
+        from PIL import Image, UnidentifiedImageError
+
+        encoded = self.buffers.read_image(index)
+        try:
+            with Image.open(io.BytesIO(encoded)) as image:
+                if image.width * image.height > MAX_IMAGE_PIXELS:
+                    raise self.buffers.error(f"images[{index}]", "is too large", "Use at most 64 megapixels.")
+                encoded_rgb = np.asarray(image.convert("RGB"), dtype=np.float64) / 255.0
+        except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+            raise self.buffers.error(
+                f"images[{index}]", f"cannot be read ({error})", "Save it again as PNG or JPEG."
+            ) from error
+        # IEC 61966-2-1.
+        linear: NDArray[np.float64] = np.where(
+            encoded_rgb <= 0.04045, encoded_rgb / 12.92, ((encoded_rgb + 0.055) / 1.055) ** 2.4
+        )
+        return linear
+
+    def _camera(self, index: int, name: str, to_world: Matrix) -> list[GltfCamera]:
+        camera = self.document.cameras[index]
+        if camera.perspective is None:
+            return []
+        yfov, near = float(camera.perspective.yfov), float(camera.perspective.znear)
+        if not (0 < yfov < np.pi and 0 < near < np.inf):
+            raise self.buffers.error(f"cameras[{index}]", "has no valid field of view or near plane")
+        rotation = to_world[:3, :3] / np.linalg.norm(to_world[:3, :3], axis=0)
+        rigid = np.eye(4)
+        rigid[:3, :3], rigid[:3, 3] = rotation, to_world[:3, 3]
+        return [GltfCamera(name or str(camera.name or ""), np.linalg.inv(rigid), yfov, near)]
+
+    def _light(self, index: int, name: str, to_world: Matrix) -> GltfLight:
+        light = self.document.extensions["KHR_lights_punctual"]["lights"][index]
+        kind, spot = light["type"], light.get("spot", {})
+        inner, outer = float(spot.get("innerConeAngle", 0.0)), float(spot.get("outerConeAngle", np.pi / 4))
+        if kind not in ("directional", "point", "spot") or not 0 <= inner < outer <= np.pi / 2:
+            raise self.buffers.error(
+                f"light {name!r}",
+                "has an unknown type, or cone angles that are not 0 <= inner < outer <= pi/2",
+            )
+        direction = to_world[:3, :3] @ np.array([0.0, 0.0, -1.0])
+        return GltfLight(
+            name or str(light.get("name", "")),
+            kind,
+            to_world[:3, 3],
+            direction / np.linalg.norm(direction),
+            inner,
+            outer,
+        )
+
+
+def _local(node: Any) -> Matrix:
+    if node.matrix is not None:
+        return np.array(node.matrix, dtype=np.float64).reshape(4, 4).T
+    x, y, z, w = np.array(node.rotation or [0, 0, 0, 1], dtype=np.float64) / np.linalg.norm(
+        node.rotation or [0, 0, 0, 1]
+    )
+    local = np.eye(4)
+    local[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    local[:3, :3] *= np.array(node.scale if node.scale is not None else [1, 1, 1], dtype=np.float64)
+    local[:3, 3] = node.translation if node.translation is not None else [0, 0, 0]
+    return local

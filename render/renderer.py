@@ -1,0 +1,189 @@
+"""The renderer: an explicit list of passes, from light to pixels.
+
+shadow_map        depth of every light's views            once
+atlas_geometry    what lies under each texel              once, per phosphor
+atlas_irradiance  K-band light on each texel              per change of light, per phosphor
+excitation        a_i of each texel                       per change of light, per phosphor
+phosphor_step     the state at the picture's time         per picture, per phosphor
+gbuffer           what the camera sees                    once
+direct_light      reflected lamp light                    per picture
+glow              light of the phosphors                  per picture, per phosphor
+resolve           samples to pixels                       per picture
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from phoslab.errors import PhoslabError
+from phoslab.render.atlas_geometry import AtlasGeometry, AtlasGeometryParameters
+from phoslab.render.atlas_irradiance import AtlasIrradiance
+from phoslab.render.device import Device
+from phoslab.render.direct_light import DirectLight
+from phoslab.render.excitation import Excitation
+from phoslab.render.frames import Frame
+from phoslab.render.gbuffer import GBuffer, GBufferParameters
+from phoslab.render.glow import Glow
+from phoslab.render.gpu_scene import upload
+from phoslab.render.passes import Picture, side_by_side
+from phoslab.render.phosphor_state import PhosphorState, Stepping
+from phoslab.render.phosphor_step import PhosphorStep
+from phoslab.render.resolve import Resolve, ResolveParameters
+from phoslab.render.scene import Scene
+from phoslab.render.shadow_map import ShadowMap, ShadowMapParameters
+
+PASSES = (
+    ShadowMap,
+    AtlasGeometry,
+    AtlasIrradiance,
+    Excitation,
+    PhosphorStep,
+    GBuffer,
+    DirectLight,
+    Glow,
+    Resolve,
+)
+
+
+@dataclass(frozen=True)
+class RenderParameters:
+    """How a scene is rendered.
+
+    Args:
+        size: (width, height) of the picture in pixels.
+        supersampling: samples along the side of a pixel.
+        stepping: solver and step of the states.
+        debug: names of passes whose results come with every frame.
+    """
+
+    size: tuple[int, int]
+    supersampling: int
+    stepping: Stepping = Stepping()
+    shadow_map: ShadowMapParameters = ShadowMapParameters()
+    atlas_geometry: AtlasGeometryParameters = AtlasGeometryParameters()
+    debug: Sequence[str] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name in self.debug:
+            if name not in {p.name for p in PASSES}:
+                raise PhoslabError(
+                    f"{name!r} is unknown",
+                    field="the pass",
+                    remedy=f"Use any of: {', '.join(p.name for p in PASSES)}.",
+                )
+
+
+class Renderer:
+    """Renders one scene at any times; what does not change between them is kept."""
+
+    def __init__(self, device: Device, scene: Scene, parameters: RenderParameters) -> None:
+        self.scene, self.parameters = scene, parameters
+        n_bands = scene.transport.n
+        w, h = parameters.size
+        samples = (w * parameters.supersampling, h * parameters.supersampling)
+        self.drawables = upload(device, scene)
+        self.shadow_map = ShadowMap(device, scene.lights, self.drawables, n_bands, parameters.shadow_map)
+        self.gbuffer = GBuffer(device, self.drawables, GBufferParameters(samples))
+        self.direct_light = DirectLight(device, self.shadow_map, samples, n_bands)
+        self.glow = Glow(device, n_bands)
+        self.resolve = Resolve(device, n_bands, ResolveParameters(parameters.size, parameters.supersampling))
+        self.states = self._make_states(device)
+        self._anchor_s = 0.0
+        self.prepare()
+
+    def _make_states(self, device: Device) -> list[PhosphorState]:
+        n_bands = self.scene.transport.n
+        states = []
+        for drawable in self.drawables:
+            if drawable.material is None:
+                continue
+            atlas = AtlasGeometry(device, drawable, self.parameters.atlas_geometry)
+            states.append(
+                PhosphorState(
+                    device,
+                    drawable,
+                    atlas,
+                    AtlasIrradiance(device, self.shadow_map, atlas.size, n_bands),
+                    Excitation(device, drawable.material, atlas.size, n_bands),
+                    self.parameters.stepping,
+                )
+            )
+        return states
+
+    def prepare(self) -> None:
+        """Run the passes whose results hold while nothing moves."""
+        self.shadow_map.run()
+        for state in self.states:
+            state.atlas.run()
+            state.reset()
+        self.gbuffer.run(self.scene.camera)
+
+    def frame(self, t_s: float, label: str | None = None) -> Frame:
+        """Render the scene at `t_s` seconds; forwards in time is cheaper than backwards.
+
+        Raises:
+            PhoslabError: the solver would overshoot.
+        """
+        lit = self.scene.schedule.lit(t_s)
+        self._bring_states_to(t_s)
+        self.direct_light.run(self.gbuffer, self.drawables, lit)
+        for state in self.states:
+            self.glow.run(self.gbuffer, state.drawable, state.shown, self.direct_light.radiance)
+        self.resolve.run(self.direct_light.radiance)
+        return Frame(
+            time_s=t_s,
+            label=f"{t_s:g}" if label is None else label,
+            bands=self.scene.transport,
+            radiance=self.resolve.read(),
+            warnings=self._warnings(t_s),
+            debug=self._debug_views(),
+        )
+
+    def _bring_states_to(self, t_s: float) -> None:
+        if t_s < self._anchor_s:
+            for state in self.states:
+                state.reset()
+            self._anchor_s = 0.0
+        moved = 0.0
+        for start, end, lit in self.scene.schedule.segments(self._anchor_s, t_s):
+            for state in self.states:
+                state.relight(lit)
+                if end < t_s:
+                    state.advance(end - start)
+                else:
+                    moved = state.show(end - start)
+            self._anchor_s = end if end < t_s else start + moved
+
+    def _warnings(self, t_s: float) -> tuple[str, ...]:
+        """What the scene warns of, and every material that is seen beyond what its data support."""
+        warnings = list(self.scene.warnings)
+        dark = self.scene.schedule.dark_for_s(t_s)
+        for state in self.states:
+            valid = state.phosphor.material.valid_s
+            if dark is not None and valid is not None and dark > valid[1]:
+                warnings.append(
+                    f"{dark:g} s after the light is beyond the {valid[1]:g} s that the data of "
+                    f"{state.phosphor.material.name!r} support"
+                )
+        return tuple(dict.fromkeys(warnings))
+
+    def _debug_views(self) -> dict[str, Picture]:
+        """Return the views of the passes asked for, by `PASS.VIEW`; those of all phosphors in one picture."""
+        sources = {
+            ShadowMap.name: [self.shadow_map],
+            AtlasGeometry.name: [s.atlas for s in self.states],
+            AtlasIrradiance.name: [s.light for s in self.states],
+            Excitation.name: [s.excitation for s in self.states],
+            PhosphorStep.name: self.states,
+            GBuffer.name: [self.gbuffer],
+            DirectLight.name: [self.direct_light],
+            Glow.name: [self.direct_light],
+            Resolve.name: [self.resolve],
+        }
+        views: dict[str, Picture] = {}
+        for name in self.parameters.debug:
+            each = [source.debug_views() for source in sources[name]]
+            for view in each[0] if each else ():
+                views[f"{name}.{view}"] = side_by_side([v[view] for v in each])
+        return views

@@ -1,0 +1,92 @@
+"""The GPU's solvers of the rate equations, by the names of `phoslab.kinetics.SOLVERS`.
+
+A solver is a file `shaders/include/solver_NAME.glsl` that defines
+
+    vec4 step_state(vec4 r, vec4 a, vec4 kr, float dt)
+
+and one line in `SOLVERS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.errors import PhoslabError
+from phoslab.kinetics import EULER_LIMIT
+
+Array = NDArray[np.float64]
+DarkFactors = Callable[[Array, float], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class Solver:
+    """One way to step the state.
+
+    Args:
+        include: the file in shaders/include.
+        any_length: whether one step may span any stretch of constant light; otherwise the renderer takes steps.
+        largest_step: the largest (a + kr) dt that is stable; inf where every one is.
+        dark_factors: (kr, dt) to (keep, lose), each (n_c,), in float64: r' = keep r - lose r without light.
+    """
+
+    include: str
+    any_length: bool
+    largest_step: float
+    dark_factors: DarkFactors
+
+
+def _exact_dark(kr: Array, dt: float) -> tuple[Array, Array]:
+    # Near 1 the factor exp(-x) has lost x's last digits in float32, and a slow decay would stand still:
+    # there r loses a share that is small and exact. Further on, the factor itself is the accurate one.
+    x = kr * dt
+    small = x < 0.5
+    return np.where(small, 1.0, np.exp(-x)), np.where(small, -np.expm1(-x), 0.0)
+
+
+def _euler_dark(kr: Array, dt: float) -> tuple[Array, Array]:
+    return np.ones_like(kr), kr * dt
+
+
+SOLVERS: dict[str, Solver] = {
+    "exact": Solver("solver_exact.glsl", True, np.inf, _exact_dark),
+    "euler": Solver("solver_euler.glsl", False, EULER_LIMIT, _euler_dark),
+}
+
+
+def find_solver(name: str) -> Solver:
+    """Return the solver `name`.
+
+    Raises:
+        PhoslabError: there is none of that name.
+    """
+    if name not in SOLVERS:
+        raise PhoslabError(
+            f"{name!r} is unknown to the renderer",
+            field="solver",
+            remedy=f"Use one of: {', '.join(SOLVERS)}.",
+        )
+    return SOLVERS[name]
+
+
+def check_step(name: str, largest_rate_per_s: float, dt_s: float, phosphor: str) -> None:
+    """Refuse a step that would overshoot.
+
+    Args:
+        largest_rate_per_s: the largest a + kr of any texel.
+
+    Raises:
+        PhoslabError: (a + kr) dt is above what the solver bears.
+    """
+    largest = largest_rate_per_s * dt_s
+    if largest > find_solver(name).largest_step:
+        longest = find_solver(name).largest_step / largest_rate_per_s
+        raise PhoslabError(
+            f"overshoots on {phosphor!r}: (a + kr) dt is {largest:.3g}, and above "
+            f"{find_solver(name).largest_step:g} the state leaves [0, 1]",
+            field=f"solver {name!r}",
+            remedy=f"Step by {longest:.2g} s or less (--step), or use --solver exact.",
+        )

@@ -1,0 +1,77 @@
+// Punctual lights and their shadows: the one place that says how much light reaches a point.
+
+struct Light {
+    vec4 position_w;  // w: kind
+    vec4 direction_w; // w: world size of a shadow texel at depth 1
+    vec4 cone;        // x, y: scale and offset of the cosine (KHR_lights_punctual); z: first view; w: 1 if lit
+};
+layout(std430, binding = 0) readonly buffer Lights { Light lights[]; };
+layout(std430, binding = 1) readonly buffer Views { mat4 world_to_clip[]; };
+layout(std430, binding = 2) readonly buffer Spectra { vec4 irradiance_at_1m[]; }; // LAYERS a light
+
+uniform int light_count;
+uniform sampler2DShadow shadow_sheet; // one square tile a view
+uniform int tiles_per_side;
+
+const float DIRECTIONAL = 0.0;
+const float ONE_VIEW = 1.0;  // a spot
+const float SIX_VIEWS = 2.0; // a point, or a spot too wide for one view
+
+// Irradiance at the point over that at 1 m on the light's axis, without shadow; L is the direction to the light.
+float attenuation(Light light, vec3 p_w, vec3 normal_w, out vec3 L) {
+    if (light.position_w.w == DIRECTIONAL) {
+        L = -light.direction_w.xyz;
+        return max(dot(normal_w, L), 0.0);
+    }
+    vec3 d = light.position_w.xyz - p_w;
+    L = normalize(d);
+    float c = clamp(dot(-L, light.direction_w.xyz) * light.cone.x + light.cone.y, 0.0, 1.0);
+    return c * c * max(dot(normal_w, L), 0.0) / dot(d, d);
+}
+
+int view_of(Light light, vec3 p_w) {
+    int first = int(light.cone.z);
+    if (light.position_w.w != SIX_VIEWS) return first;
+    vec3 d = p_w - light.position_w.xyz;
+    vec3 m = abs(d);
+    int axis = m.x >= m.y && m.x >= m.z ? 0 : (m.y >= m.z ? 1 : 2);
+    return first + 2 * axis + (d[axis] < 0.0 ? 1 : 0);
+}
+
+// The share of the light that nothing blocks: percentage-closer filtering, a tent of (2 PCF_RADIUS + 1)^2 taps.
+float visibility(Light light, vec3 p_w, vec3 normal_w, vec3 L) {
+    int view = view_of(light, p_w);
+    float depth = (world_to_clip[view] * vec4(p_w, 1.0)).w;
+    float texel_w = light.direction_w.w * depth;
+    // On a plane, a tap that is R texels away lies R texel sinθ / cosθ deeper. Moving the point off the surface by
+    // R texel sinθ makes up for just that; the rest covers rounding.
+    float cosine = dot(normal_w, L);
+    float offset = texel_w * ((float(PCF_RADIUS) + 1.5) * sqrt(max(1.0 - cosine * cosine, 0.0)) + 0.5);
+    vec4 clip = world_to_clip[view] * vec4(p_w + normal_w * offset, 1.0);
+    vec3 ndc = clip.xyz / clip.w * 0.5 + 0.5;
+    vec2 tile = vec2(view % tiles_per_side, view / tiles_per_side);
+    vec2 uv = (tile + clamp(ndc.xy, 0.0, 1.0)) / float(tiles_per_side);
+    vec2 texel = 1.0 / vec2(textureSize(shadow_sheet, 0));
+    float sum = 0.0, weight = 0.0;
+    for (int y = -PCF_RADIUS; y <= PCF_RADIUS; ++y)
+        for (int x = -PCF_RADIUS; x <= PCF_RADIUS; ++x) {
+            float w = float(PCF_RADIUS + 1 - abs(x)) * float(PCF_RADIUS + 1 - abs(y));
+            sum += w * textureLod(shadow_sheet, vec3(uv + vec2(x, y) * texel, ndc.z), 0.0);
+            weight += w;
+        }
+    return sum / weight;
+}
+
+// E: K-band irradiance, W m⁻² nm⁻¹ in an absolute scene.
+void gather_irradiance(vec3 p_w, vec3 normal_w, out vec4 E[LAYERS]) {
+    for (int l = 0; l < LAYERS; ++l) E[l] = vec4(0.0);
+    for (int i = 0; i < light_count; ++i) {
+        Light light = lights[i];
+        if (light.cone.w == 0.0) continue;
+        vec3 L;
+        float factor = attenuation(light, p_w, normal_w, L);
+        if (factor <= 0.0) continue;
+        factor *= visibility(light, p_w, normal_w, L);
+        for (int l = 0; l < LAYERS; ++l) E[l] += factor * irradiance_at_1m[i * LAYERS + l];
+    }
+}
