@@ -54,7 +54,7 @@ class Sample:
     depth_eV: float = 0.74
     width_eV: float = 0.05
     attempts_per_s: float = 1e12
-    retrapping: float = 2.0
+    retrapping: float = 3.0
     temperature_C: float = 21.0
     excitation_per_s: float = 0.35
     excitation_edge_nm: float = 450.0

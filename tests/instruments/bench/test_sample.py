@@ -51,12 +51,13 @@ def worst_misfit(t_s: Array, light: Array, n_states: int, relative_noise: Array)
     return float(np.abs(solve(best.x)[0] / light - 1).max())
 
 
-# A frame's realistic noise: shutter, aperture and gain repeat to 0.5 %; photons add 0.01 to 0.05 %, more where
-# frames are dim. Constant relative weights are the first limit of that, shot noise alone on an unchanged
-# exposure would be the other; the requirement holds for all three.
+# "Best fit" is weighted least squares with positive amplitudes; a weight is 1 over a frame's noise. Realistic:
+# shutter, aperture and gain repeat to 0.5 %, and photons add 0.01 %, more where it is dim. The limits of that are
+# a constant relative noise, and photon noise alone at one exposure; the requirement holds for all three.
 WEIGHTS = {
+    "realistic": lambda light: np.hypot(0.005, 1e-4 * np.sqrt(light[0] / light)),
     "constant": lambda light: np.full(light.size, 0.005),
-    "noise": lambda light: np.hypot(0.005, 1e-4 * np.sqrt(light[0] / light)),
+    "photons": lambda light: 1e-4 * np.sqrt(light[0] / light),
 }
 
 
