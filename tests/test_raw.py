@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from phoslab import limited, raw
+from phoslab import limited, raw, raw_worker
 from phoslab.errors import PhoslabError
 from phoslab.instruments.bench.camera import SENSOR
 from phoslab.instruments.bench.dng import Sensor, write_dng
@@ -103,6 +103,29 @@ def test_a_mean_is_that_of_each_colours_own_pixels(tmp_path: Path) -> None:
     np.testing.assert_array_equal(means.n_pixels, [600, 1200, 600])
     np.testing.assert_array_equal(means.variance, 0)
     assert means.shape == SHAPE
+
+
+def test_a_pattern_of_six_pixels_is_averaged_by_colour_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """X-Trans, from a frame made here: the bench has no such sensor."""
+    cell = ["GBGGRG", "RGRBGB", "GBGGRG", "GRGGBG", "BGBRGR", "GRGGBG"]
+    cfa = np.tile(np.array([["RGB".index(c) for c in row] for row in cell], np.uint8), (20, 20))
+    values = np.random.default_rng(8).normal(3000, 30, cfa.shape).round().astype(np.uint16) + 500 * cfa
+    frame = raw.RawFrame(
+        Path("x"), values.astype(np.uint16), cfa, np.full(4, 1000.0), np.full(4, 9e3), 1.0, 100, 1.0
+    )
+    monkeypatch.setattr(raw_worker, "decode", lambda _: frame)
+    mask = np.hypot(*(np.mgrid[:120, :120] - 60)) < 50
+    answer = raw_worker.job_means("x", mask=np.packbits(mask), mask_shape=[120, 120])
+    for k in range(3):
+        chosen = values[mask & (cfa == k)]
+        assert answer["n_pixels"][k] == chosen.size
+        assert answer["mean"][k] == pytest.approx(chosen.mean() - 1000)
+        # As in the repeated frames above: 1700 red pixels.
+        assert answer["variance"][k] * chosen.size == pytest.approx(
+            900, rel=4 * 1.25 * np.sqrt(3.9 / chosen.size)
+        )
+    preview = raw_worker.job_preview("x", 512)
+    assert preview["image"].shape == (20, 20, 3)
 
 
 def test_a_mask_selects_the_same_pixels_as_its_rectangle(tmp_path: Path) -> None:
