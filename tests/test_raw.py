@@ -109,7 +109,9 @@ def test_a_pattern_of_six_pixels_is_averaged_by_colour_too(monkeypatch: pytest.M
     """X-Trans, from a frame made here: the bench has no such sensor."""
     cell = ["GBGGRG", "RGRBGB", "GBGGRG", "GRGGBG", "BGBRGR", "GRGGBG"]
     cfa = np.tile(np.array([["RGB".index(c) for c in row] for row in cell], np.uint8), (20, 20))
-    values = np.random.default_rng(8).normal(3000, 30, cfa.shape).round().astype(np.uint16) + 500 * cfa
+    values = np.random.default_rng(8).normal(3000, 30, cfa.shape).round().astype(
+        np.uint16
+    ) + 500 * cfa.astype(np.uint16)
     frame = raw.RawFrame(
         Path("x"), values.astype(np.uint16), cfa, np.full(4, 1000.0), np.full(4, 9e3), 1.0, 100, 1.0
     )
