@@ -1,0 +1,106 @@
+"""From a recorded session to a material, against what the simulated sample really did."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import phoslab
+from phoslab.errors import PhoslabError
+from phoslab.fitting import fit_session
+from phoslab.material import Material
+from phoslab.session import Session
+
+
+@pytest.fixture(scope="module")
+def truth(green_decay):
+    """(t, light) of the sample: written beside the session by the bench, never read by the fit."""
+    return np.loadtxt(green_decay.with_name("green-decay.truth.csv"), delimiter=",", comments=("#", "t"))
+
+
+def test_the_fit_follows_the_true_light_at_times_between_the_frames(green_fit, truth):
+    t, light = truth[(truth[:, 0] >= 0.6) & (truth[:, 0] <= 180)].T
+    predicted = green_fit.fit.predict(t, np.zeros_like(t))[:, 1]
+    scale = np.median(predicted / light)
+    # Three exponentials miss this decay by 1 to 3 % at the worst frame; between the first two, 5 s apart, by more.
+    assert np.abs(predicted / light / scale - 1).max() < 0.05
+    assert np.abs(predicted / light / scale - 1)[t > 5].max() < 0.03
+
+
+def test_frames_held_out_are_predicted_within_three_percent_and_their_noise(green_fit):
+    automatic = next(h for h in green_fit.held_out if h.automatic)
+    assert automatic.worst <= 0.03
+    assert {h.n_states for h in green_fit.held_out} == {1, 2, 3}
+    one, two, three = green_fit.held_out
+    assert one.worst > two.worst > three.worst
+
+
+def test_the_decay_is_that_of_the_light_and_not_of_the_camera_s_settings(green_fit, truth):
+    data = green_fit.reduced.data
+    assert len(set(data.exposure_s)) > 2, "the session must change its settings for this to mean anything"
+    # The mean light over each exposure, by the truth's own fine table.
+    fine = [np.linspace(t, t + e, 101) for t, e in zip(data.t_s, data.exposure_s, strict=True)]
+    light = np.array([np.interp(f, *truth.T).mean() for f in fine])
+    ratio = data.signal / light[:, None]
+    # Each mean has 1e-4 relative noise; interpolating the table and the camera's shading add less than 1e-3.
+    assert np.abs(ratio / ratio[0] - 1).max() < 2e-3
+
+
+def test_the_material_glows_as_the_fit_says_when_its_states_are_full(green_fit):
+    m, fit = green_fit.material, green_fit.fit
+    L = phoslab.kinetics.emitted_radiance(m, np.ones(m.n_states))
+    rgb = phoslab.spectra.camera_response(L, m.bands, "Nikon 5100 (NPL)")
+    # Equal in the direction of the preset's spectrum; the measured colour is another, and the report says so.
+    measured = fit.amplitude.sum() * fit.colour
+    assert rgb @ measured / (rgb @ rgb) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_what_was_not_measured_stands_first_in_the_report_and_in_the_file(green_fit):
+    first = green_fit.report().splitlines()[0]
+    assert "'green'" in first
+    assert "not measured" in first
+    assert "simulated" in first
+    assert green_fit.material.provenance["assumed"] in first
+
+
+def test_the_material_takes_its_excitation_rates_from_the_preset_for_every_state(green_fit):
+    ke = phoslab.preset("green").ke_m2_per_J[0]
+    assert green_fit.material.ke_m2_per_J.tolist() == [ke.tolist()] * green_fit.fit.n_states
+
+
+def test_the_file_names_the_session_by_its_hash(green_fit, green_decay):
+    (source,) = green_fit.material.provenance["sessions"]
+    assert source["sha256"] == Session.open(green_decay).digest
+    back = Material.from_json(green_fit.material.to_json())
+    assert back.to_json() == green_fit.material.to_json()
+    assert json.loads(back.to_json())["valid_s"][1] == pytest.approx(182.6)
+
+
+def test_fewer_states_are_reported_as_a_misfit(green_decay):
+    result = fit_session([green_decay], preset="green", states=1)
+    assert result.fit.n_states == 1
+    assert any("not a sum of 1 exponentials" in w for w in result.warnings)
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"preset": "none"}, "preset 'none'"),
+        ({"states": 0}, "states is 0"),
+        ({"states": "many"}, "states is 'many'"),
+        ({"paths": []}, "one session"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(green_decay, changed, named):
+    with pytest.raises(PhoslabError, match=named):
+        fit_session(**({"paths": [green_decay], "preset": "green"} | changed))
+
+
+def test_a_camera_without_known_sensitivities_is_refused(green_decay, monkeypatch):
+    session = Session.open(green_decay)
+    camera = {k: v for k, v in session.header.camera.items() if k != "sensitivities"}
+    unknown = replace(session, header=replace(session.header, camera=camera))
+    monkeypatch.setattr(Session, "open", lambda _: unknown)
+    with pytest.raises(PhoslabError, match="sensitivities"):
+        fit_session([green_decay], preset="green")
