@@ -4,9 +4,8 @@ Per state i (Nalbach 2017, eq. 8.1), with the excitation a_i = Σ_j ke_ij E_j Δ
 
     dr_i/dt = (1 - r_i) a_i - kr_i r_i
 
-While a_i is constant the equation is linear in r_i, so a step of any length is exact:
-
-    k = a + kr    r_inf = a / k    r(t + dt) = r + (r_inf - r) (1 - exp(-k dt))
+While a_i is constant the equation is linear in r_i, and a step of any length is exact; `phoslab.solvers` has that and
+the others.
 
 Arrays: r, a, kr are (..., n_c), irradiance is (..., n_λ) in W m⁻² nm⁻¹, times are in s, rates in 1/s.
 Leading shapes broadcast.
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from phoslab import solvers
 from phoslab.errors import PhoslabError
 
 if TYPE_CHECKING:
@@ -27,10 +27,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Irradiance = ArrayLike | Callable[[float], ArrayLike]
-Step = Callable[[Array, Array, Array, Array], Array]
-
-# (1 - a dt - kr dt) must not be negative, or an Euler step leaves the interval [0, 1] (eq. 8.1 with r = 1).
-EULER_LIMIT = 1.0
 
 
 def excitation(material: Material, irradiance: ArrayLike) -> Array:
@@ -76,7 +72,7 @@ def equilibrium(material: Material, irradiance: ArrayLike) -> Array:
 
     A state with neither excitation nor re-radiation keeps what it has; its equilibrium is given as 0.
     """
-    return _equilibrium(excitation(material, irradiance), material.kr_per_s)
+    return solvers.equilibrium(excitation(material, irradiance), material.kr_per_s)
 
 
 def decay(material: Material, r: ArrayLike, t: ArrayLike) -> Array:
@@ -91,43 +87,6 @@ def emitted_radiance(material: Material, r: ArrayLike) -> Array:
     return L
 
 
-def exact_step(r: Array, a: Array, kr: Array, dt: Array) -> Array:
-    """Step exactly under constant excitation; monotone towards the equilibrium and never past it."""
-    r_inf = _equilibrium(a, kr)
-    stepped = r - (r_inf - r) * np.expm1(-(a + kr) * dt)
-    # Rounding may end one ulp past the equilibrium, and past 1 with it. (k = 0: expm1 is 0, r stays.)
-    return np.where(a + kr > 0, np.clip(stepped, np.minimum(r, r_inf), np.maximum(r, r_inf)), r)
-
-
-def euler_step(r: Array, a: Array, kr: Array, dt: Array) -> Array:
-    """Step by forward Euler, as Nalbach 2017, 8.5; refuse a step that would overshoot.
-
-    Raises:
-        PhoslabError: (a + kr) dt > 1 somewhere.
-    """
-    if ((a + kr) * dt > EULER_LIMIT).any():
-        raise PhoslabError(
-            f"overshoots: (a + kr) dt is {np.max((a + kr) * dt):.3g}, and above {EULER_LIMIT:g} the step leaves [0, 1]",
-            field="solver 'euler'",
-            remedy="Take a shorter step, or use solver 'substep' or 'exact'.",
-        )
-    return r + dt * ((1 - r) * a - kr * r)
-
-
-def substep(r: Array, a: Array, kr: Array, dt: Array) -> Array:
-    """Step by forward Euler in as many equal parts as stability asks for.
-
-    The cost grows with the stiffest element's (a + kr) dt.
-    """
-    n = max(1, int(np.ceil(np.max((a + kr) * dt / EULER_LIMIT, initial=0.0))))
-    for _ in range(n):
-        r = r + dt / n * ((1 - r) * a - kr * r)
-    return r
-
-
-SOLVERS: dict[str, Step] = {"exact": exact_step, "euler": euler_step, "substep": substep}
-
-
 def advance(
     material: Material, r: ArrayLike, irradiance: Irradiance, dt: ArrayLike, solver: str = "exact"
 ) -> Array:
@@ -136,22 +95,22 @@ def advance(
     Args:
         r: (..., n_c) concentrations in [0, 1].
         irradiance: (..., n_λ) in W m⁻² nm⁻¹, constant over the step; or a callable of the time in [0, dt]
-            since the step's start, of which these solvers take the value at the start.
-        dt: step length in s, a scalar or (...).
-        solver: a name in `SOLVERS`.
+            since the step's start.
+        dt: step length in s, a scalar or (...); a scalar where the irradiance is a callable.
+        solver: a name in `phoslab.solvers.SOLVERS`, which says what each makes of light that changes.
 
     Returns:
         (..., n_c) concentrations after `dt`.
+
+    Raises:
+        PhoslabError: an argument is out of range, or the solver would not be stable.
 
     >>> import phoslab
     >>> green = phoslab.preset("green")
     >>> advance(green, [1.0], [0.0] * 8, 1 / green.kr_per_s[0]).round(4).tolist()
     [0.3679]
     """
-    if solver not in SOLVERS:
-        raise PhoslabError(
-            f"{solver!r} is unknown", field="solver", remedy=f"Use one of: {', '.join(SOLVERS)}."
-        )
+    step = solvers.find(solver)
     r = np.asarray(r, dtype=np.float64)
     dt = np.asarray(dt, dtype=np.float64)
     if not (np.isfinite(dt).all() and (dt >= 0).all()):
@@ -164,11 +123,15 @@ def advance(
             field="r",
             remedy="Start from zeros, ones, or an equilibrium.",
         )
-    a = excitation(material, irradiance(0.0) if callable(irradiance) else irradiance)
-    r, a = np.broadcast_arrays(r, a)
-    return SOLVERS[solver](r, a, material.kr_per_s, dt[..., None])
-
-
-def _equilibrium(a: Array, kr: Array) -> Array:
-    k = a + kr
-    return np.divide(a, k, out=np.zeros(np.broadcast_shapes(a.shape, k.shape)), where=k > 0)
+    if callable(irradiance):
+        if dt.ndim:
+            raise PhoslabError(
+                "has many values",
+                field="dt",
+                remedy="Where the irradiance is a callable, give one step length.",
+            )
+        light = irradiance
+        drive = solvers.Drive(lambda s: excitation(material, light(float(s * dt))))
+    else:
+        drive = solvers.Drive.constant(excitation(material, irradiance))
+    return step(r, drive, material.kr_per_s, dt[..., None])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.kinetics import EULER_LIMIT
+from phoslab.solvers import EULER_LIMIT
 
 Array = NDArray[np.float64]
 DarkFactors = Callable[[Array, float], tuple[Array, Array]]
