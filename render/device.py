@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
@@ -37,6 +37,8 @@ GROUP = 8  # local size of every compute shader, in both directions
 _INCLUDE = re.compile(r'^#include "([\w.]+)"\n', re.MULTILINE)
 
 Defines = Mapping[str, int | str]
+T = TypeVar("T")
+Sampled = TypeVar("Sampled", moderngl.Texture, moderngl.TextureArray)
 
 
 class Device:
@@ -50,10 +52,9 @@ class Device:
     """
 
     def __init__(self, libgl: str = LIBGL, libegl: str = LIBEGL) -> None:
+        settings: dict[str, Any] = {"backend": "egl", "libgl": libgl, "libegl": libegl}
         try:
-            self.ctx = moderngl.create_context(
-                standalone=True, backend="egl", libgl=libgl, libegl=libegl, require=GL_VERSION
-            )
+            self.ctx = moderngl.create_context(standalone=True, require=GL_VERSION, **settings)
         except Exception as error:  # glcontext and moderngl raise plain Exception
             raise PhoslabError(
                 f"could not be opened without a window ({error})",
@@ -114,7 +115,7 @@ class Device:
             self._home.use()
             self._scopes.pop().release()
 
-    def _keep(self, thing: Any) -> Any:
+    def _keep(self, thing: T) -> T:
         self._scopes[-1].made.append(thing)
         return thing
 
@@ -209,8 +210,8 @@ class Device:
             (name, *defines.items()), lambda: self.ctx.compute_shader(source(f"{name}.comp.glsl", defines))
         )
 
-    def _build(self, key: tuple[Any, ...], build: Callable[[], Any]) -> Any:
-        programs = self._scopes[-1].programs
+    def _build(self, key: tuple[Any, ...], build: Callable[[], T]) -> T:
+        programs: dict[tuple[Any, ...], T] = self._scopes[-1].programs
         if key not in programs:
             programs[key] = self._keep(build())
         return programs[key]
@@ -248,7 +249,7 @@ def set_uniforms(program: moderngl.Program | moderngl.ComputeShader, **values: A
     Matrices are (n, n) as one writes them (column vectors); OpenGL wants the transpose.
     """
     for name, value in values.items():
-        member = program.get(name, None)
+        member: Any = program.get(name, None)
         if member is None:
             continue
         if isinstance(value, np.ndarray):
@@ -312,7 +313,7 @@ def _padded(data: NDArray[Any] | None, shape: tuple[int, ...], components: int, 
     return texels
 
 
-def _sampled(texture: Any, linear: bool, repeat: bool) -> Any:
+def _sampled(texture: Sampled, linear: bool, repeat: bool) -> Sampled:
     texture.filter = (moderngl.LINEAR, moderngl.LINEAR) if linear else (moderngl.NEAREST, moderngl.NEAREST)
     texture.repeat_x = texture.repeat_y = repeat
     return texture

@@ -81,4 +81,5 @@ def _is_sound(positions: Floats, triangles: Indices) -> NDArray[np.bool_]:
     a, b, c = positions.astype(np.float64)[triangles].transpose(1, 0, 2)
     doubled_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
-    return doubled_area > DEGENERATE * longest
+    sound: NDArray[np.bool_] = doubled_area > DEGENERATE * longest
+    return sound

@@ -33,8 +33,9 @@ class Glow:
         if 0 in rectangle[2:]:
             return
         program = self._device.compute(self.name, {"LAYERS": self._layers, "STATES": material.n_states})
-        for unit, texture in enumerate((gbuffer.uv, r, material.kr, material.emission), start=1):
+        for unit, texture in enumerate((gbuffer.uv, r, material.kr), start=1):
             texture.use(unit)
+        material.emission.use(4)
         set_uniforms(program, uv=1, r=2, kr=3, emission=4)
         gbuffer.bind_samples(program, drawable.number, rectangle, unit=0)
         radiance.bind_to_image(0, read=True, write=True)

@@ -289,7 +289,8 @@ class _Reader:
         rotation = to_world[:3, :3] / np.linalg.norm(to_world[:3, :3], axis=0)
         rigid = np.eye(4)
         rigid[:3, :3], rigid[:3, 3] = rotation, to_world[:3, 3]
-        return [GltfCamera(name or str(camera.name or ""), np.linalg.inv(rigid), yfov, near)]
+        world_to_view = np.asarray(np.linalg.inv(rigid), dtype=np.float64)
+        return [GltfCamera(name or str(camera.name or ""), world_to_view, yfov, near)]
 
     def _light(self, index: int, name: str, to_world: Matrix) -> GltfLight:
         light = self.document.extensions["KHR_lights_punctual"]["lights"][index]

@@ -57,11 +57,8 @@ class GpuDrawable:
     @property
     def placement(self) -> dict[str, Array]:
         """The uniforms that place it in the world."""
-        linear = self.drawable.model_to_world[:3, :3]
-        return {
-            "model_to_world": self.drawable.model_to_world,
-            "normal_to_world": np.linalg.inv(linear).T,
-        }
+        to_model = np.asarray(np.linalg.inv(self.drawable.model_to_world[:3, :3]), dtype=np.float64)
+        return {"model_to_world": self.drawable.model_to_world, "normal_to_world": to_model.T}
 
     @property
     def handedness(self) -> float:

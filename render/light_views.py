@@ -52,10 +52,10 @@ def views_of(light: GltfLight, box: Array, tile: int, guard: int) -> LightViews:
     usable = 1.0 - 2.0 * guard / tile
     corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     if light.kind == "directional":
-        centre, radius = box.mean(axis=0), np.linalg.norm(box[1] - box[0]) / 2 + 1e-9
-        eye = centre - 2.0 * radius * light.direction_w
-        half = radius / usable
-        clip = _orthographic(half, radius * 0.9, radius * 3.1) @ look_along(eye, light.direction_w)
+        view = look_along(box.mean(axis=0), light.direction_w)
+        reach = np.abs(corners @ view[:3, :3].T + view[:3, 3]).max(axis=0) * 1.01 + 1e-9
+        half = float(reach[:2].max()) / usable
+        clip = _orthographic(half, -float(reach[2]), float(reach[2])) @ view
         return LightViews(DIRECTIONAL, clip[None], 2.0 * half / tile)
     p = light.position_w
     far = float(np.linalg.norm(corners - p, axis=1).max()) * 1.01 + 1e-9

@@ -26,7 +26,7 @@ from phoslab.render.frames import Frame
 from phoslab.render.gbuffer import GBuffer, GBufferParameters
 from phoslab.render.glow import Glow
 from phoslab.render.gpu_scene import upload
-from phoslab.render.passes import Picture, side_by_side
+from phoslab.render.passes import Pass, Picture, side_by_side
 from phoslab.render.phosphor_state import PhosphorState, Stepping
 from phoslab.render.phosphor_step import PhosphorStep
 from phoslab.render.resolve import Resolve, ResolveParameters
@@ -59,10 +59,10 @@ class RenderParameters:
 
     size: tuple[int, int]
     supersampling: int
-    stepping: Stepping = Stepping()
-    shadow_map: ShadowMapParameters = ShadowMapParameters()
-    atlas_geometry: AtlasGeometryParameters = AtlasGeometryParameters()
-    debug: Sequence[str] = field(default=())
+    stepping: Stepping = field(default_factory=Stepping)
+    shadow_map: ShadowMapParameters = field(default_factory=ShadowMapParameters)
+    atlas_geometry: AtlasGeometryParameters = field(default_factory=AtlasGeometryParameters)
+    debug: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         for name in self.debug:
@@ -170,7 +170,7 @@ class Renderer:
 
     def _debug_views(self) -> dict[str, Picture]:
         """Return the views of the passes asked for, by `PASS.VIEW`; those of all phosphors in one picture."""
-        sources = {
+        sources: dict[str, Sequence[Pass | PhosphorState]] = {
             ShadowMap.name: [self.shadow_map],
             AtlasGeometry.name: [s.atlas for s in self.states],
             AtlasIrradiance.name: [s.light for s in self.states],

@@ -5,6 +5,7 @@ Loading needs no OpenGL. Everything that can be wrong with a scene is found here
 
 from __future__ import annotations
 
+import itertools
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -135,13 +136,27 @@ def load_scene(path: str | PathLike[str]) -> Scene:
 
 def _read_toml(file: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        data = tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise PhoslabError(
             f"cannot be read ({error.strerror})", file=file, remedy="Name a scene.toml, or a folder with one."
         ) from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise PhoslabError(f"is not valid TOML: {error}", file=file, remedy="Correct that line.") from error
+    _refuse_nonfinite(data, "", file)
+    return data
+
+
+def _refuse_nonfinite(value: Any, field: str, file: Path) -> None:
+    """Refuse nan and inf, which TOML has: no comparison with a bound would catch a NaN."""
+    if isinstance(value, float) and not np.isfinite(value):
+        raise PhoslabError(f"is {value}", file=file, field=field, remedy="Give a finite number.")
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _refuse_nonfinite(item, f"{field}.{key}".lstrip("."), file)
+    elif isinstance(value, list):
+        for k, item in enumerate(value):
+            _refuse_nonfinite(item, f"{field}[{k}]", file)
 
 
 class _Loader:
@@ -299,25 +314,30 @@ class _Loader:
                     raise self.error(
                         f"phosphors.{name}", f"{error.field} {error.problem}", error.remedy
                     ) from error
-            lost = spectral.integral_outside(light.irradiance_at_1m, transport, material.bands)
-            share = float(lost) / max(
-                float(light.irradiance_at_1m @ transport.widths_nm), np.finfo(float).tiny
-            )
+            lost = float(spectral.integral_outside(light.irradiance_at_1m, transport, material.bands))
+            share = lost / max(float(light.irradiance_at_1m @ transport.widths_nm), np.finfo(float).tiny)
             if share > NEGLIGIBLE:
                 self.warnings.append(
                     f"{share:.1%} of the light of {light_name!r} lies outside the bands of {name!r} "
                     "and cannot excite it"
                 )
         L = material.kr_per_s @ material.emission
-        lost = spectral.integral_outside(L, material.bands, transport)
+        lost = float(spectral.integral_outside(L, material.bands, transport))
         if lost > NEGLIGIBLE * (L @ material.bands.widths_nm):
             share = lost / (L @ material.bands.widths_nm)
             self.warnings.append(f"{share:.1%} of the glow of {name!r} lies outside the scene's bands")
-        if material.calibration == "absolute" and material.excess_emission().any():
-            band = int(np.argmax(material.excess_emission()))
+
+    def _check_energy(self, name: str, material: Material, reflectance: Array, transport: Bands) -> None:
+        """Report an absolute material that gives more than what its reflection leaves it to take."""
+        if material.calibration != "absolute":
+            return
+        mean = spectral.rebin(reflectance.mean(axis=(0, 1)), transport, material.bands)
+        excess = material.excess_emission(mean)
+        if excess.any():
+            band = int(np.argmax(excess))
             self.warnings.append(
                 f"{name!r} gives more light than it takes at {material.bands.label(band)}, "
-                f"by {material.excess_emission()[band]:.3g} of what it receives"
+                f"by {excess[band]:.3g} of what it receives"
             )
 
     def _drawables(self, phosphors: Mapping[str, Phosphor], transport: Bands) -> tuple[Drawable, ...]:
@@ -332,6 +352,8 @@ class _Loader:
             if phosphor is not None and phosphor.optics.albedo is not None:
                 reflectance = phosphor.optics.albedo
             name = instance.node or instance.mesh
+            if phosphor is not None:
+                self._check_energy(name, phosphor.material, reflectance, transport)
             self._check_uv(name, instance, reflectance, phosphor)
             drawables.append(
                 Drawable(name, instance.geometry, instance.model_to_world, reflectance, phosphor)
@@ -368,7 +390,7 @@ class _Loader:
             factor = None if entry["exposure"] == "auto" else float(entry["exposure"])
             exposures.append(Exposure(schedule.parse_time(entry["from"], field=field), factor))
         starts = [e.from_s for e in exposures]
-        if starts[0] > 0 or any(b <= a for a, b in zip(starts[:-1], starts[1:], strict=True)):
+        if starts[0] > 0 or any(b <= a for a, b in itertools.pairwise(starts)):
             raise self.error(
                 "display.exposures", "do not ascend from 0", 'Begin with `from = "0"` and sort them by time.'
             )

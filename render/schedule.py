@@ -6,6 +6,7 @@ phosphor state jump to any time at the cost of the light changes alone.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -38,7 +39,7 @@ class Schedule:
         """Yield (from_s, to_s, lights that are on) from `start_s` to `end_s`, light being constant in each."""
         edges = {t for stretches in self.stretches_s.values() for pair in stretches or () for t in pair}
         times = [start_s, *sorted(t for t in edges if start_s < t < end_s), end_s]
-        for low, high in zip(times[:-1], times[1:], strict=True):
+        for low, high in itertools.pairwise(times):
             if high > low:
                 yield low, high, self.lit(low)
 

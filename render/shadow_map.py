@@ -105,4 +105,5 @@ class ShadowMap:
         depth = np.frombuffer(self.sheet.read(), dtype="f4").reshape(self.sheet.height, self.sheet.width)
         self.sheet.compare_func = "<="
         step = max(1, self.sheet.width // 1024)
-        return {"shadow_sheet": false_grey(depth[::-step, ::step] ** 8)}
+        near = depth.min()
+        return {"shadow_sheet": false_grey((depth[::-step, ::step] - near) ** 2)}

@@ -1,4 +1,4 @@
-"""The GPU's solvers of the rate equations, by the names of `phoslab.kinetics.SOLVERS`.
+"""The GPU's solvers of the rate equations, by the names of `phoslab.solvers`.
 
 A solver is a file `shaders/include/solver_NAME.glsl` that defines
 

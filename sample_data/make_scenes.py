@@ -140,7 +140,10 @@ def bevelled_cube(size: float, bevel: float) -> Shape:
     push = np.concatenate([np.full(n // 2 + 1, flat[0]), np.full(n // 2 + 1, flat[1])])
     a, b = np.meshgrid(grid, grid)
     pa, pb = np.meshgrid(push, push)
-    positions, normals, triangles, base = [], [], [], 0
+    positions: list[Array] = []
+    normals: list[Array] = []
+    triangles: list[NDArray[Any]] = []
+    base = 0
     for axis in range(3):
         for sign in (1.0, -1.0):
             direction = np.zeros((*a.shape, 3))

@@ -41,13 +41,17 @@ int view_of(Light light, vec3 p_w) {
 // The share of the light that nothing blocks: percentage-closer filtering, a tent of (2 PCF_RADIUS + 1)^2 taps.
 float visibility(Light light, vec3 p_w, vec3 normal_w, vec3 L) {
     int view = view_of(light, p_w);
-    float depth = (world_to_clip[view] * vec4(p_w, 1.0)).w;
-    float texel_w = light.direction_w.w * depth;
-    // On a plane, a tap that is R texels away lies R texel sinθ / cosθ deeper. Moving the point off the surface by
-    // R texel sinθ makes up for just that; the rest covers rounding.
-    float cosine = dot(normal_w, L);
-    float offset = texel_w * ((float(PCF_RADIUS) + 1.5) * sqrt(max(1.0 - cosine * cosine, 0.0)) + 0.5);
-    vec4 clip = world_to_clip[view] * vec4(p_w + normal_w * offset, 1.0);
+    mat4 to_clip = world_to_clip[view];
+    float texel_w = light.direction_w.w * (to_clip * vec4(p_w, 1.0)).w;
+    // Seen along the ray, a plane's depth at a tap R texels away differs by R texel sinφ / (cosθ |ray|), with φ from
+    // the view's axis and θ from the ray. A point moved off the plane by R texel sinφ is nearer by just that, so a
+    // plane never shades itself. The farthest texel of the filter is a corner, √2 (PCF_RADIUS + 1) away; the half
+    // texel on top covers curvature and rounding.
+    vec3 axis = vec3(to_clip[0][3], to_clip[1][3], to_clip[2][3]);
+    float cosine = light.position_w.w == DIRECTIONAL ? dot(normal_w, L) : dot(normal_w, axis);
+    float reach = 1.41421356 * (float(PCF_RADIUS) + 1.0);
+    float offset = texel_w * (reach * sqrt(max(1.0 - cosine * cosine, 0.0)) + 0.5);
+    vec4 clip = to_clip * vec4(p_w + normal_w * offset, 1.0);
     vec3 ndc = clip.xyz / clip.w * 0.5 + 0.5;
     vec2 tile = vec2(view % tiles_per_side, view / tiles_per_side);
     vec2 uv = (tile + clamp(ndc.xy, 0.0, 1.0)) / float(tiles_per_side);

@@ -1,0 +1,205 @@
+"""The state on the GPU against the float64 reference, within bounds that float32 arithmetic gives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+import pytest
+
+import phoslab
+from phoslab import kinetics, solvers
+from phoslab.bands import Bands
+from phoslab.material import Material
+from phoslab.render.device import Device, read_texture
+from phoslab.render.gpu_scene import MaterialTextures
+from phoslab.render.optics import Optics
+from phoslab.render.phosphor_step import PhosphorStep
+from phoslab.render.solvers import SOLVERS
+
+U = 2.0**-24  # half a unit in the last place of a float32 near 1
+
+SIDE = 32
+
+
+def as_float32(values: np.ndarray) -> np.ndarray:
+    """What both sides compute from: rounding the inputs is not an error of the solver."""
+    return np.asarray(values, dtype=np.float32).astype(np.float64)
+
+
+class Bench:
+    """A PhosphorStep between two textures."""
+
+    def __init__(self, device: Device, kr: np.ndarray, r: np.ndarray, a: np.ndarray, solver: str) -> None:
+        n = kr.size
+        one = device.texture_array((1, 1), 1)
+        material = MaterialTextures(device.texture((1, 1), n, kr[None, None]), one, one, n, kr)
+        self.textures = [device.texture((SIDE, SIDE), n, data) for data in (r, np.zeros_like(r))]
+        self.targets = [device.framebuffer([t]) for t in self.textures]
+        self.excitation = device.texture((SIDE, SIDE), n, a)
+        self.step = PhosphorStep(device, material, solver)
+        self.n, self.at, self.dark = n, 0, not a.any()
+
+    def run(self, dt: float, steps: int = 1) -> np.ndarray:
+        for _ in range(steps):
+            self.step.run(
+                self.textures[self.at], self.targets[1 - self.at], dt, self.excitation, dark=self.dark
+            )
+            self.at = 1 - self.at
+        return read_texture(self.textures[self.at])[..., : self.n].astype(np.float64)
+
+
+def spread(low: float, high: float, n: int, seed: int) -> np.ndarray:
+    """(SIDE, SIDE, n) values spread evenly in their logarithm, as float32 has them."""
+    exponents = np.random.default_rng(seed).uniform(np.log10(low), np.log10(high), (SIDE, SIDE, n))
+    return as_float32(10.0**exponents)
+
+
+def step_bound(a: np.ndarray, kr: np.ndarray, dt: float, n: int) -> np.ndarray:
+    """The error after n exact steps of dt in float32, per texel and state.
+
+    One step is r + (r_inf - r) g with g = 1 - exp(-k dt). Its sum is rounded once: U, as r <= 1. The increment has
+    relative errors: k 1, k dt 2, series 6 and truncation 1, difference and product 2, r_inf 4 on itself; in all
+    below 16 U g. An error of one step shrinks by 1 - g in every later one, so n of them sum to at most
+    (U + 16 U g) min(n, 1 / g).
+    """
+    g = -np.expm1(-(a + kr) * dt)
+    return (U + 16 * U * g) * np.minimum(n, 1 / g)
+
+
+@pytest.mark.parametrize("n_states", [1, 2, 4])
+def test_ten_thousand_charging_steps_stay_within_the_float32_bound(device, n_states):
+    """10,000 steps of 1/60 s with an excitation that differs per texel: `step_bound`, derived above."""
+    kr = as_float32(np.array([0.227, 0.009, 0.05, 0.001])[:n_states])
+    a, dt = spread(1e-4, 1.0, n_states, seed=1), 1 / 60
+    r = spread(1e-3, 1.0, n_states, seed=2)
+    gpu = Bench(device, kr, r, a, "exact").run(dt, 10_000)
+    want = solvers.exact_step(r, a, kr, np.float64(np.float32(dt)) * 10_000)
+    assert (np.abs(gpu - want) <= step_bound(a, kr, dt, 10_000)).all()
+
+
+def test_ten_thousand_dark_steps_stay_within_the_float32_bound(device):
+    """Dark: r - lose r with `lose` from float64. Each step rounds twice, relative to r: 2 n U."""
+    kr, dt = as_float32(np.array([0.227, 0.009])), 1 / 60
+    r = spread(1e-3, 1.0, 2, seed=3)
+    gpu = Bench(device, kr, r, np.zeros_like(r), "exact").run(dt, 10_000)
+    want = r * np.exp(-kr * dt * 10_000)
+    assert (np.abs(gpu - want) <= 2 * 10_000 * U * want).all()
+
+
+def test_anchored_jump_is_accurate_to_a_few_ulp(device):
+    """One step of any length: r e + r_inf (1 - e); an exponent x of relative error 2 U gives 2 U x e^-x <= U."""
+    kr = as_float32(np.array([0.227, 0.009]))
+    for seed, dt in enumerate((1 / 60, 1.0, 30.0, 1000.0, 1e6)):
+        a, r = spread(1e-4, 1.0, 2, seed), spread(1e-3, 1.0, 2, seed + 50)
+        gpu = Bench(device, kr, r, a, "exact").run(dt)
+        want = solvers.exact_step(r, a, kr, np.float64(np.float32(dt)))
+        assert np.abs(gpu - want).max() <= 16 * U
+
+
+@pytest.mark.parametrize("dt", [1 / 60, 1.0, 80.0, 2000.0])
+def test_dark_jump_equals_kinetics_decay_to_the_last_bits(device, dt):
+    green = phoslab.preset("green")
+    r = spread(1e-3, 1.0, 1, seed=4)
+    gpu = Bench(device, green.kr_per_s, r, np.zeros_like(r), "exact").run(dt)
+    want = kinetics.decay(green, r, np.full((SIDE, SIDE), dt))
+    normal = want > 1e-37
+    # The factor is rounded once and the product once.
+    np.testing.assert_allclose(gpu[normal], want[normal], rtol=3 * U)
+    assert (gpu[~normal] < 1e-37).all()
+
+
+def test_slow_material_keeps_its_small_increments(device):
+    """kr = 1e-4 1/s at 60 Hz: each step moves r by 1.7e-6. exp() in float32 would lose 2 % of that."""
+    kr, dt = as_float32(np.array([1e-4])), 1 / 60
+    r = np.ones((SIDE, SIDE, 1))
+    gpu = Bench(device, kr, r, np.zeros_like(r), "exact").run(dt, 3600)
+    lost = 1 - np.exp(-kr[0] * 60)
+    assert np.abs((1 - gpu) - lost).max() <= 2 * 3600 * U
+    assert 2 * 3600 * U < 0.1 * lost
+
+
+def test_exact_step_never_leaves_the_unit_interval(device):
+    """Rates over 15 decades and steps over 12, with zeros: finite, in [0, 1], and never past the equilibrium."""
+    for seed, kr in enumerate((0.0, 1e-6, 1.0, 1e6)):
+        a = spread(1e-9, 1e6, 1, seed)
+        a[:4] = 0.0
+        r = np.random.default_rng(seed).uniform(0, 1, a.shape)
+        r[::5], r[1::5] = 0.0, 1.0
+        r = as_float32(r)
+        bench = Bench(device, np.array([kr]), r, a, "exact")
+        for dt in (1e-6, 1.0, 1e6):
+            before = read_texture(bench.textures[bench.at])[..., :1].astype(np.float64)
+            after = bench.run(dt)
+            assert np.isfinite(after).all()
+            assert ((after >= 0) & (after <= 1)).all()
+            # The float32 equilibrium may differ from this one by its own rounding.
+            r_inf = np.divide(a, a + kr, out=before.copy(), where=a + kr > 0)
+            assert (after >= np.minimum(before, r_inf) - 4 * U).all()
+            assert (after <= np.maximum(before, r_inf) + 4 * U).all()
+
+
+def test_euler_step_is_that_of_the_paper(device):
+    kr, dt = as_float32(np.array([0.227, 0.009])), 1 / 60
+    a, r = spread(1e-4, 1.0, 2, seed=5), spread(1e-3, 1.0, 2, seed=6)
+    gpu = Bench(device, kr, r, a, "euler").run(dt)
+    want = solvers.euler(r, solvers.Drive.constant(a), kr, np.float64(np.float32(dt)))
+    # The increment is below 0.02, with some four roundings; the sum is rounded once.
+    assert np.abs(gpu - want).max() <= U * (1 + 6 * 0.02)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_every_gpu_solver_has_its_reference(solver):
+    assert solver in solvers.SOLVERS
+
+
+def test_rates_from_a_map_step_every_texel_by_its_own(device):
+    """A kr map on a dark texture: r exp(-kr dt) with kr looked up by the atlas's texture coordinates."""
+    kr_map = spread(1e-3, 1.0, 1, seed=7)
+    centre = (np.arange(SIDE) + 0.5) / SIDE
+    uv = np.stack(np.meshgrid(centre, centre), axis=-1)
+    one = device.texture_array((1, 1), 1)
+    material = MaterialTextures(device.texture((SIDE, SIDE), 1, kr_map, linear=True), one, one, 1, None)
+    r, out = (device.texture((SIDE, SIDE), 1, np.full((SIDE, SIDE, 1), v)) for v in (1.0, 0.0))
+    PhosphorStep(device, material, "exact").run(
+        r,
+        device.framebuffer([out]),
+        5.0,
+        device.texture((SIDE, SIDE), 1),
+        dark=True,
+        atlas_uv=device.texture((SIDE, SIDE), 2, uv),
+    )
+    got = read_texture(out)[..., 0]
+    # Bilinear weights are near 0 and 1 at texel centres, but not exactly: 8 fraction bits in the worst hardware.
+    np.testing.assert_allclose(got, np.exp(-5 * kr_map[..., 0]), atol=2.0**-8)
+
+
+def test_steps_use_two_textures_of_the_documented_size(device):
+    """Two states take 8 bytes a texel, three take 16: three-channel textures cannot be drawn to."""
+    for n_states, channels in ((1, 1), (2, 2), (3, 4), (4, 4)):
+        texture: moderngl.Texture = device.texture((4, 4), n_states)
+        assert texture.components == channels
+
+
+def test_optics_of_a_two_state_material_keep_its_excitation():
+    """ke_width @ E in other bands is the excitation that the material's own bands give."""
+    two = Material(
+        name="two",
+        bands=Bands.uniform(4),
+        kr_per_s=[0.2, 0.02],
+        ke_m2_per_J=[[0.1, 0.05, 0.0, 0.0], [0.02, 0.01, 0.004, 0.0]],
+        emission=[[0, 0, 1, 0.5], [0, 0, 2, 1.0]],
+        calibration="absolute",
+    )
+    from phoslab.bands import rebin
+    from phoslab.render.optics import load_optics
+
+    transport = Bands(np.array([380.0, 430, 470, 520, 555, 640, 720]))
+    optics: Optics = load_optics(two, transport, 3.0, 1.0)
+    E = np.array([1.0, 0.5, 2.0, 0.7, 0.1, 0.3])
+    want = kinetics.excitation(two, 3.0 * rebin(E, transport, two.bands))
+    np.testing.assert_allclose(optics.ke_width[0, 0] @ E, want, rtol=1e-12)
+    energy = optics.emission[0, 0] @ transport.widths_nm
+    np.testing.assert_allclose(energy, two.emission @ two.bands.widths_nm, rtol=1e-12)
+    assert replace(two, name="other").n_states == optics.n_states
