@@ -37,17 +37,17 @@ class Drive:
 
     Args:
         at: maps the share of the step that has passed, 0..1, to (..., n_c) excitations in 1/s.
-        mean: (...)  -> (..., n_c) the mean excitation of the step; by quadrature of `at` where it is None.
+        average: gives the mean excitation (..., n_c) of the step; None: by quadrature of `at`.
     """
 
     at: Callable[[float], Array]
-    mean_of_step: Array | None = None
+    average: Callable[[], Array] | None = None
 
     @property
     def mean(self) -> Array:
-        """(..., n_c) mean excitation over the step."""
-        if self.mean_of_step is not None:
-            return self.mean_of_step
+        """(..., n_c) mean excitation over the step, in 1/s."""
+        if self.average is not None:
+            return self.average()
         parts = [w / 2 * self.at((1 + x) / 2) for x, w in zip(_NODES, _WEIGHTS, strict=True)]
         total: Array = np.sum(parts, axis=0)
         return total
@@ -55,7 +55,7 @@ class Drive:
     @classmethod
     def constant(cls, a: Array) -> Drive:
         """Return the drive of constant excitation `a` (..., n_c)."""
-        return cls(lambda _: a, a)
+        return cls(lambda _: a, lambda: a)
 
 
 Step = Callable[[Array, Drive, Array, Array], Array]

@@ -82,7 +82,9 @@ def errors(name: str, steps: list[int]) -> np.ndarray:
     def run(solver: str, n: int) -> np.ndarray:
         r, dt = r0, 5.0 / n
         for k in range(n):
-            drive = Drive(lambda s, k=k: a * light.at((k + s) * dt), a * mean(light, k * dt, (k + 1) * dt))
+            drive = Drive(
+                lambda s, k=k: a * light.at((k + s) * dt), lambda k=k: a * mean(light, k * dt, (k + 1) * dt)
+            )
             r = SOLVERS[solver](r, drive, kr, np.array(dt))
         return r
 
