@@ -74,6 +74,7 @@ def test_help_loads_pythons_own_modules_and_the_command_line_only(
 
 
 COLOUR = {"colour", "matplotlib", "PIL", "scipy"}  # colour-science itself loads Matplotlib
+RENDER = {"numpy", "jsonschema", "rich", "moderngl", "pygltflib", "xatlas", *COLOUR}
 FIT = {"numpy", "scipy", "jsonschema", "rich", "cv2", "rawpy", "pebble", *COLOUR}
 
 
@@ -90,13 +91,15 @@ FIT = {"numpy", "scipy", "jsonschema", "rich", "cv2", "rawpy", "pebble", *COLOUR
             FIT | {"jinja2"},
             {"phoslab.fitting"},
         ),
+        ("render SCENE -o glow.png --at 0", RENDER, {"phoslab.render", "phoslab.shaders"}),
     ],
 )
 def test_a_command_loads_only_what_it_uses(
     arguments: str, dependencies: set[str], parts: set[str], tmp_path: Path
 ) -> None:
-    session = str(files("phoslab.sample_data") / "sessions" / "green-decay")
-    loaded = _loaded(*(session if word == "SESSION" else word for word in arguments.split()), cwd=tmp_path)
+    samples = files("phoslab.sample_data")
+    paths = {"SESSION": samples / "sessions" / "green-decay", "SCENE": samples / "scenes" / "fading"}
+    loaded = _loaded(*(str(paths.get(word, word)) for word in arguments.split()), cwd=tmp_path)
     assert loaded & DEPENDENCIES <= dependencies
     assert loaded & PARTS <= parts
 

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from phoslab.app import cli, doctor
+from phoslab.render import device
 
 NO_LIBRARY = "import ctypes; ctypes.CDLL('libEGL-that-is-not-here.so.1')"
 
@@ -22,6 +23,12 @@ def test_where_gl_works_it_names_the_renderer_and_exits_with_0(capsys: pytest.Ca
     assert gl["details"]["renderer"] in gl["found"]
     assert gl["details"]["software"] is ("llvmpipe" in gl["details"]["renderer"])
     assert gl["details"]["max_texture_size"] >= 4096
+
+
+def test_it_opens_gl_as_the_renderer_does() -> None:
+    """A doctor that looks for other libraries, or another version, would send people the wrong way."""
+    for word in (f'libgl="{device.LIBGL}"', f'libegl="{device.LIBEGL}"', f"require={device.GL_VERSION}"):
+        assert word in doctor._GL_PROBE
 
 
 @pytest.mark.parametrize(
