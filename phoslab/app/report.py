@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phoslab.app.figures import svg
 from phoslab.files import write_text
 
 if TYPE_CHECKING:
@@ -53,8 +53,8 @@ def write_report(
         material=result.material,
         states=_states(result),
         held_out={h.n_states: h for h in result.held_out},
-        decay=_svg(_decay_figure(result)),
-        emission=_svg(_emission_figure(result)),
+        decay=svg(_decay_figure(result)),
+        emission=svg(_emission_figure(result)),
         pictures=[(_data_uri(p.path), p.caption) for p in pictures],
         notes=notes,
     )
@@ -146,17 +146,6 @@ def _emission_figure(result: FitResult) -> Figure:
     axes.set_ylabel("radiance at t = 0\n[material's unit]")
     axes.legend(frameon=False)
     return figure
-
-
-def _svg(figure: Figure) -> str:
-    # Text as text, and no time stamp: the same fit gives the same page.
-    import matplotlib
-
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "phoslab"}):
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    svg = text.getvalue()
-    return svg[svg.index("<svg") :]
 
 
 def _data_uri(path: Path) -> str:
