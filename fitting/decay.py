@@ -82,7 +82,7 @@ class DecayData:
     @property
     def n_values(self) -> int:
         """How many values take part."""
-        return int(self.used.sum())
+        return int(np.count_nonzero(self.used))
 
     def take(self, frames: slice) -> DecayData:
         """Return the decay with only some of its frames."""
@@ -121,12 +121,12 @@ class DecayFit:
     @property
     def n_states(self) -> int:
         """Number of exponentials, n_c."""
-        return self.kr_per_s.size
+        return len(self.kr_per_s)
 
     @property
     def n_parameters(self) -> int:
         """Number of free parameters."""
-        return self.covariance.shape[0]
+        return len(self.covariance)
 
     @property
     def aicc(self) -> float:

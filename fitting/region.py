@@ -28,7 +28,7 @@ def find_sample(preview: Preview) -> NDArray[np.bool_]:
     # Each channel by its own noise: a channel without light must not drown the others.
     level = preview.image - np.median(preview.image, axis=(0, 1))
     grey = cv2.GaussianBlur((level / (level.std(axis=(0, 1)) + 1e-12)).sum(axis=2), (0, 0), sigmaX=1.5)
-    scaled = cv2.normalize(grey, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    scaled = cv2.normalize(grey, np.empty_like(grey), 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
     _, bright = cv2.threshold(scaled, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     n, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
     areas = stats[1:n, cv2.CC_STAT_AREA]

@@ -59,7 +59,8 @@ def solve(basis: Basis, y: Array, start: Array) -> Solution:
         moved = dphi[:, :, free] @ x[free]  # (n_θ, m): dΦ x
         off_range = moved - (moved @ q) @ q.T
         back = solve_triangular(r, dphi[:, :, free].transpose(0, 2, 1) @ residual[:, None], trans=1)
-        return -(off_range + (q @ back)[..., 0]).T
+        exact: Array = -(off_range + (q @ back)[..., 0]).T
+        return exact
 
     # Both tolerances at machine precision: a fit costs milliseconds, and digits lost here are lost for good.
     eps = float(np.finfo(np.float64).eps)

@@ -18,7 +18,14 @@ Array = NDArray[np.float64]
 
 
 class Programme(Protocol):
-    """A light's strength over time."""
+    """A light's strength over time.
+
+    Attributes:
+        piecewise_constant: whether the factor is constant between its changes.
+    """
+
+    @property
+    def piecewise_constant(self) -> bool: ...
 
     def at(self, t: ArrayLike) -> Array:
         """Return the factor at time t; at a jump, the value after it."""
@@ -32,16 +39,11 @@ class Programme(Protocol):
         """Return (n,) the times in (start, stop) at which the factor jumps, ascending."""
         ...
 
-    @property
-    def piecewise_constant(self) -> bool:
-        """Whether the factor is constant between its changes."""
-        ...
-
 
 def mean(programme: Programme, start: ArrayLike, stop: ArrayLike) -> Array:
     """Return the mean factor over [start, stop], stop > start."""
-    duration = np.asarray(stop, dtype=np.float64) - start
-    average: Array = (programme.integral(stop) - programme.integral(start)) / duration
+    begin, end = np.asarray(start, dtype=np.float64), np.asarray(stop, dtype=np.float64)
+    average: Array = (programme.integral(end) - programme.integral(begin)) / (end - begin)
     return average
 
 

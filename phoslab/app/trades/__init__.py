@@ -1,0 +1,1 @@
+"""Speed against accuracy, measured on this machine: one module a trade, one page and one trade.json each."""
