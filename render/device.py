@@ -32,7 +32,7 @@ GL_VERSION = 430
 # Components that a float texture can have and still be rendered to and written as an image.
 RENDERABLE = {1: 1, 2: 2, 3: 4, 4: 4}
 
-GROUP = 8  # local size of every compute shader, in both directions
+GROUP = (8, 8)  # the local size of compute shaders that do not say otherwise
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"\n', re.MULTILINE)
 
@@ -52,6 +52,7 @@ class Device:
     """
 
     def __init__(self, libgl: str = LIBGL, libegl: str = LIBEGL) -> None:
+        self._scopes: list[_Scope] = []
         settings: dict[str, Any] = {"backend": "egl", "libgl": libgl, "libegl": libegl}
         try:
             self.ctx = moderngl.create_context(standalone=True, require=GL_VERSION, **settings)
@@ -62,7 +63,7 @@ class Device:
                 remedy="Install it with `apt-get install libgl1 libegl1 libgl1-mesa-dri`, "
                 "or a driver for the graphics card.",
             ) from error
-        self._scopes = [_Scope()]
+        self._scopes.append(_Scope())
         self._home = self.framebuffer([self.texture((1, 1), 1)])
 
     def __enter__(self) -> Device:
@@ -228,9 +229,15 @@ class Device:
         ]
         return self._keep(self.ctx.vertex_array(program, content, indices))
 
-    def dispatch(self, shader: moderngl.ComputeShader, size: tuple[int, int]) -> None:
-        """Run `shader` over (width, height) texels and make what it wrote visible to whatever follows."""
-        shader.run(-(-size[0] // GROUP), -(-size[1] // GROUP))
+    def dispatch(
+        self, shader: moderngl.ComputeShader, size: tuple[int, int], group: tuple[int, int] = GROUP
+    ) -> None:
+        """Run `shader` over (width, height) texels and make what it wrote visible to whatever follows.
+
+        Args:
+            group: the shader's local size.
+        """
+        shader.run(-(-size[0] // group[0]), -(-size[1] // group[1]))
         self.ctx.memory_barrier()
 
     def _check_size(self, size: tuple[int, int]) -> None:

@@ -19,6 +19,9 @@ from phoslab.material import Material
 Array = NDArray[np.float64]
 Texels = NDArray[np.float32]
 
+# A rate that is not 0 and decays nothing, so that a / (a + kr) is defined without a test on every texel.
+SLOWEST_PER_S = 1e-37
+
 
 def layer_count(n_bands: int) -> int:
     """Return how many RGBA layers hold `n_bands` values."""

@@ -62,7 +62,6 @@ class PhosphorState:
         self._textures = [
             device.texture(atlas.size, drawable.material.n_states, linear=True) for _ in range(3)
         ]
-        self._framebuffers = [device.framebuffer([texture]) for texture in self._textures]
         self._anchor = 0
         self._lit: frozenset[str] = frozenset()
         self._excited: frozenset[str] | None = None
@@ -77,7 +76,9 @@ class PhosphorState:
         """Put the state at time 0 in place: empty, saturated, or the equilibrium under given lights."""
         initial = self.phosphor.initial
         level = 1.0 if initial.state == "saturated" else 0.0
-        self._framebuffers[0].clear(level, level, level, level)
+        first = self._textures[0]
+        full = np.full((first.height, first.width, first.components), level, dtype=np.float32)
+        first.write(full.tobytes())
         self._anchor, self.shown = 0, self._textures[0]
         if initial.state == "equilibrium":
             self.relight(initial.lights)
@@ -141,7 +142,7 @@ class PhosphorState:
     def _run(self, step: PhosphorStep, dt_s: float, target: int) -> None:
         step.run(
             self.anchor,
-            self._framebuffers[target],
+            self._textures[target],
             dt_s,
             self.excitation.excitation,
             dark=not self._lit,

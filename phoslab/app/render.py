@@ -10,7 +10,7 @@ import argparse
 import json
 import re
 import sys
-import time
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -92,25 +92,23 @@ def _parse_size(text: str | None) -> tuple[int, int] | None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
-    """Yield a callback that shows a bar with the time left, on stderr, once the work proves to be long."""
+    """Yield a callback that moves a bar with the time left, on stderr, shown once the work proves to be long."""
     from rich.console import Console
     from rich.progress import Progress, TimeRemainingColumn
 
-    start = time.monotonic()
     bar = Progress(
         *Progress.get_default_columns()[:-1],
         TimeRemainingColumn(),
         console=Console(file=sys.stderr),
         transient=True,
     )
-    task = bar.add_task("rendering")
-
-    def show(done: int, total: int) -> None:
-        bar.update(task, completed=done, total=total)
-        if time.monotonic() - start > SHORT_S and done < total:
-            bar.start()
-
+    task = bar.add_task("rendering", total=None)
+    show_late = threading.Timer(SHORT_S, bar.start)
+    show_late.start()
     try:
-        yield show
+        yield lambda done, total: bar.update(task, completed=done, total=total)
     finally:
-        bar.stop()
+        show_late.cancel()
+        show_late.join()
+        if bar.live.is_started:
+            bar.stop()

@@ -38,7 +38,31 @@ int view_of(Light light, vec3 p_w) {
     return first + 2 * axis + (d[axis] < 0.0 ? 1 : 0);
 }
 
-// The share of the light that nothing blocks: percentage-closer filtering, a tent of (2 PCF_RADIUS + 1)^2 taps.
+float tent(float j) {
+    return max(float(PCF_RADIUS + 1) - abs(j), 0.0);
+}
+
+// Percentage-closer filtering: a tent of (2 PCF_RADIUS + 1)^2 bilinear comparisons. Two neighbouring texels and their
+// weights are one bilinear comparison between them, so the same filter takes (PCF_RADIUS + 1)^2.
+float filtered_comparison(vec2 uv, float depth) {
+    vec2 size = vec2(textureSize(shadow_sheet, 0));
+    vec2 at = uv * size - 0.5, base = floor(at), s = at - base;
+    vec2 weight[PCF_RADIUS + 1], tap[PCF_RADIUS + 1];
+    for (int m = 0; m <= PCF_RADIUS; ++m) {
+        float j = float(2 * m - PCF_RADIUS);
+        vec2 one = mix(vec2(tent(j)), vec2(tent(j - 1.0)), s), two = mix(vec2(tent(j + 1.0)), vec2(tent(j)), s);
+        weight[m] = one + two;
+        tap[m] = (base + j + 0.5 + two / weight[m]) / size;
+    }
+    float sum = 0.0;
+    for (int y = 0; y <= PCF_RADIUS; ++y)
+        for (int x = 0; x <= PCF_RADIUS; ++x)
+            sum += weight[x].x * weight[y].y * textureLod(shadow_sheet, vec3(tap[x].x, tap[y].y, depth), 0.0);
+    float total = float((PCF_RADIUS + 1) * (PCF_RADIUS + 1));
+    return min(sum / (total * total), 1.0);
+}
+
+// The share of the light that nothing blocks.
 float visibility(Light light, vec3 p_w, vec3 normal_w, vec3 L) {
     int view = view_of(light, p_w);
     mat4 to_clip = world_to_clip[view];
@@ -54,16 +78,7 @@ float visibility(Light light, vec3 p_w, vec3 normal_w, vec3 L) {
     vec4 clip = to_clip * vec4(p_w + normal_w * offset, 1.0);
     vec3 ndc = clip.xyz / clip.w * 0.5 + 0.5;
     vec2 tile = vec2(view % tiles_per_side, view / tiles_per_side);
-    vec2 uv = (tile + clamp(ndc.xy, 0.0, 1.0)) / float(tiles_per_side);
-    vec2 texel = 1.0 / vec2(textureSize(shadow_sheet, 0));
-    float sum = 0.0, weight = 0.0;
-    for (int y = -PCF_RADIUS; y <= PCF_RADIUS; ++y)
-        for (int x = -PCF_RADIUS; x <= PCF_RADIUS; ++x) {
-            float w = float(PCF_RADIUS + 1 - abs(x)) * float(PCF_RADIUS + 1 - abs(y));
-            sum += w * textureLod(shadow_sheet, vec3(uv + vec2(x, y) * texel, ndc.z), 0.0);
-            weight += w;
-        }
-    return sum / weight;
+    return filtered_comparison((tile + clamp(ndc.xy, 0.0, 1.0)) / float(tiles_per_side), ndc.z);
 }
 
 // E: K-band irradiance, W m⁻² nm⁻¹ in an absolute scene.

@@ -2,13 +2,14 @@
 //     k = a + kr,  r_inf = a / k,  r' = r_inf + (r - r_inf) exp(-k dt)
 #include "exponential.glsl"
 
-vec4 step_state(vec4 r, vec4 a, vec4 kr, float dt) {
-    vec4 k = a + kr;
-    vec4 x = min(k * dt, X_MAX);
-    vec4 e, g;
-    exp_minus(x, e, g);
-    vec4 r_inf = mix(r, a / k, greaterThan(k, vec4(0.0)));
-    // A small step adds an increment, so that r keeps its last bits; a large one mixes, so that nothing cancels.
-    vec4 stepped = mix(r * e + r_inf * g, r + (r_inf - r) * g, lessThan(x, vec4(0.34)));
-    return clamp(stepped, min(r, r_inf), max(r, r_inf));
+STATE step_state(STATE r, STATE a, STATE kr, float dt) {
+    STATE k = a + kr;
+    STATE r_inf = min(a / k, 1.0); // the host keeps kr above 0
+    STATE e, s, n;
+    exp_minus(min(k * dt, X_MAX), e, s, n);
+    // A short step adds an increment to r, which so keeps its last bits. A long one starts from the equilibrium:
+    // there exp(-k dt) <= 0.71, and nothing cancels. Either way the factor is below 0.71, so the sum lies between r
+    // and r_inf before it is rounded, and, rounding being monotone, after: no step passes the equilibrium.
+    STATE_BOOL is_short = equal(n, STATE(0.0));
+    return mix(r_inf, r, is_short) + (r - r_inf) * mix(e, -s, is_short);
 }
