@@ -18,7 +18,7 @@ from phoslab.render.passes import Picture
 from phoslab.render.scene import Exposure
 
 # An automatic exposure brings this share of the pixels that are not dark below display white.
-AUTO_PERCENTILE, AUTO_LEVEL = 99.0, 0.9
+AUTO_PERCENTILE, AUTO_LEVEL = 99.5, 0.95
 AUTO_DARK = 1e-4
 
 
@@ -125,7 +125,11 @@ def check_suffix(out: Path) -> None:
 
 def auto_exposure(xyz: NDArray[np.float32]) -> float:
     """Return the factor that shows (h, w, 3) XYZ well: bright, with next to nothing clipped."""
-    rgb = xyz.astype(np.float64) @ xyz_to_linear_srgb()
-    brightest = np.maximum(rgb.max(axis=-1), 0.0)
+    wide = xyz.astype(np.float64)
+    rgb, grey = wide @ xyz_to_linear_srgb(), wide[..., 1]
+    # What the display makes of a colour outside its gamut is paler and less bright: that is what must fit.
+    low, high = np.minimum(rgb.min(axis=-1), 0.0), rgb.max(axis=-1)
+    keep = np.divide(grey, grey - low, out=np.ones_like(grey), where=low < 0)
+    brightest = np.maximum(grey + keep * (high - grey), 0.0)
     seen = brightest[brightest > AUTO_DARK * brightest.max(initial=0.0)]
     return AUTO_LEVEL / float(np.percentile(seen, AUTO_PERCENTILE)) if seen.size else 1.0

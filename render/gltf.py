@@ -8,6 +8,7 @@ intensity and range are left aside: `scene.toml` gives lights a spectrum and an 
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,10 +100,11 @@ class _Reader:
 
         if not file.is_file():
             raise PhoslabError("is missing", file=file, remedy="Put the glTF file there, or name another.")
-        if file.suffix == ".glb":
-            self.document = pygltflib.GLTF2.load_from_bytes(file.read_bytes())
-        else:
-            self.document = pygltflib.GLTF2.gltf_from_json(file.read_text(encoding="utf-8"))
+        with warnings.catch_warnings(action="ignore"):  # what is wrong with a file is ours to say
+            if file.suffix == ".glb":
+                self.document = pygltflib.GLTF2.load_from_bytes(file.read_bytes())
+            else:
+                self.document = pygltflib.GLTF2.gltf_from_json(file.read_text(encoding="utf-8"))
         self.file = file
         if self.document is None:
             raise PhoslabError("is not a glTF 2.0 file", file=file, remedy=REMEDY)
@@ -145,8 +147,8 @@ class _Reader:
             )
             if there
         ]
-        warnings = (f"{self.file.name}: {' and '.join(ignored)} are left aside",) if ignored else ()
-        return GltfModel(tuple(instances), tuple(lights), tuple(cameras), warnings)
+        left = (f"{self.file.name}: {' and '.join(ignored)} are left aside",) if ignored else ()
+        return GltfModel(tuple(instances), tuple(lights), tuple(cameras), left)
 
     def _walk(self) -> Iterator[tuple[Any, Matrix]]:
         """Yield every node of the scene with its transformation to world space."""

@@ -322,9 +322,10 @@ class _Loader:
                     "and cannot excite it"
                 )
         L = material.kr_per_s @ material.emission
+        total = float(L @ material.bands.widths_nm)
         lost = float(spectral.integral_outside(L, material.bands, transport))
-        if lost > NEGLIGIBLE * (L @ material.bands.widths_nm):
-            share = lost / (L @ material.bands.widths_nm)
+        if lost > NEGLIGIBLE * total:
+            share = lost / total
             self.warnings.append(f"{share:.1%} of the glow of {name!r} lies outside the scene's bands")
 
     def _check_energy(self, name: str, material: Material, reflectance: Array, transport: Bands) -> None:

@@ -58,19 +58,23 @@ def surface(f: Callable[[Array, Array], Array], n_u: int, n_v: int) -> Shape:
     )
 
 
-def lathe(profile: Sequence[tuple[float, float]], n_u: int = 64, n_v: int = 72) -> Shape:
-    """Turn a smooth curve through the (radius, height) points of `profile`, from the bottom up, around y."""
-    from scipy.interpolate import PchipInterpolator
+def lathe(profile: Sequence[tuple[float, float]], *, crisp: bool = False) -> Shape:
+    """Turn a curve through the (radius, height) points of `profile`, from the bottom up, around y.
+
+    Args:
+        crisp: keep corners (monotone between points) instead of flowing through them.
+    """
+    from scipy.interpolate import CubicSpline, PchipInterpolator
 
     points = np.array(profile, dtype=np.float64)
     at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    curve = PchipInterpolator(at / at[-1], points)
+    curve = (PchipInterpolator if crisp else CubicSpline)(at / at[-1], points)
 
     def turned(u: Array, v: Array) -> Array:
-        radius, height = np.moveaxis(curve(v), -1, 0)
+        radius, height = np.moveaxis(np.maximum(curve(v), 0.0), -1, 0)
         return np.stack([radius * np.cos(TAU * u), height, -radius * np.sin(TAU * u)], axis=-1)
 
-    return surface(turned, n_u, n_v)
+    return surface(turned, 64, 80)
 
 
 def sphere(radius: float) -> Shape:
@@ -174,7 +178,8 @@ def pillow(rim: Array, spine: Array, thickness: float, rings: int = 10) -> Shape
     """
     n = len(rim)
     t = np.linspace(0, 1, rings + 1)
-    positions, triangles = [], []
+    positions: list[Array] = []
+    triangles: list[NDArray[Any]] = []
     for side in (1.0, -1.0):
         base = len(positions) * n
         for s in t:
@@ -268,7 +273,7 @@ def planks(texels: int, seed: int) -> NDArray[np.uint8]:
     for k in range(boards):
         columns = slice(k * texels // boards, (k + 1) * texels // boards)
         width = columns.stop - columns.start
-        tone = np.array([0.70, 0.60, 0.49]) * (1 + 0.07 * rng.standard_normal())
+        tone = np.array([0.80, 0.74, 0.67]) * (1 + 0.07 * rng.standard_normal())
         x = np.arange(width)
         grain = np.zeros((texels, width))
         for _ in range(14):
@@ -432,7 +437,7 @@ def write_fading(folder: Path) -> None:
     glb = GlbWriter()
     glb.camera("camera", eye=(0.10, 1.02, 3.05), target=(0.02, 0.43, -0.35), yfov_deg=30)
     glb.light(
-        "lamp", "spot", (-1.55, 2.35, 1.75), (0.05, 0.25, -0.15), innerConeAngle=0.30, outerConeAngle=0.62
+        "lamp", "spot", (-1.55, 2.35, 1.75), (0.05, 0.25, -0.15), innerConeAngle=0.32, outerConeAngle=0.75
     )
     glb.light("sky", "directional", (1.6, 2.2, 2.2), (0.0, 0.2, 0.0))
 
@@ -474,7 +479,7 @@ def write_fading(folder: Path) -> None:
     ]
     glb.mesh("blue-ball", sphere(0.17), number["blue"], place((-0.72, 0.0, -0.30)))
     glb.mesh("green-ring", torus(0.165, 0.060), number["green"], place((-0.30, 0.0, 0.20)))
-    glb.mesh("orange-cone", lathe(cone), number["orange"], place((0.50, 0.0, 0.10)))
+    glb.mesh("orange-cone", lathe(cone, crisp=True), number["orange"], place((0.50, 0.0, 0.10)))
     glb.mesh(
         "purple-cube", bevelled_cube(0.26, 0.035), number["purple"], place((0.14, 0.0, 0.12), (0, 32, 0))
     )
@@ -484,7 +489,7 @@ def write_fading(folder: Path) -> None:
     glb.mesh(
         "yellow-star", star(5, 0.20, 0.085, 0.05), number["yellow"], place((0.62, 0.84, -1.06), (0, 0, 12))
     )
-    glb.mesh("fitted-pawn", lathe(pawn), number["fitted"], place((0.22, 0.24, -0.56)))
+    glb.mesh("fitted-pawn", lathe(pawn, crisp=True), number["fitted"], place((0.22, 0.24, -0.56)))
     glb.save(folder / "scene.glb")
 
     fitted = two_state_material()
@@ -508,7 +513,7 @@ def two_state_material() -> Material:
 
 
 FADING_TOML = """\
-# Nine things in nine glow-in-the-dark materials, lit for a minute, then left in the dark.
+# Nine things in nine glow-in-the-dark materials, lit for twenty seconds, then left in the dark.
 # Made by phoslab.sample_data.make_scenes.
 schema = "phoslab-scene/1"
 gltf = "scene.glb"
@@ -519,14 +524,14 @@ system = "relative"
 radiance_factor = 0.001
 
 [lights.lamp]
-spectrum = "blackbody:4000"
+spectrum = "blackbody:4500"
 irradiance_at_1m = 0.8
-schedule = [[0, 60]]
+schedule = [[0, 20]]
 
 [lights.sky]
 spectrum = "illuminant:D65"
 irradiance_at_1m = 0.02
-schedule = [[0, 60]]
+schedule = [[0, 20]]
 
 [phosphors]
 blue-ball.material = "preset:blue"
