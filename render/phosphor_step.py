@@ -60,8 +60,7 @@ class PhosphorStep:
         target.bind_to_image(0, read=False, write=True)
         kr = self._material.uniform_kr
         if dark and kr is not None:
-            keep, lose = self._solver.dark_factors(kr, dt_s)
-            set_uniforms(self._dark, r_in=0, keep=_four(keep), lose=_four(lose))
+            set_uniforms(self._dark, r_in=0, keep=_four(self._solver.keep_in_dark(kr, dt_s)))
             self._device.dispatch(self._dark, target.size, group=GROUP)
             return
         excitation.use(1)

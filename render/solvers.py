@@ -19,7 +19,7 @@ from phoslab.errors import PhoslabError
 from phoslab.solvers import EULER_LIMIT
 
 Array = NDArray[np.float64]
-DarkFactors = Callable[[Array, float], tuple[Array, Array]]
+KeepInDark = Callable[[Array, float], Array]
 
 
 @dataclass(frozen=True)
@@ -30,30 +30,18 @@ class Solver:
         include: the file in shaders/include.
         any_length: whether one step may span any stretch of constant light; otherwise the renderer takes steps.
         largest_step: the largest (a + kr) dt that is stable; inf where every one is.
-        dark_factors: (kr, dt) to (keep, lose), each (n_c,), in float64: r' = keep r - lose r without light.
+        keep_in_dark: (kr, dt) to (n_c,) the share of r that a step without light keeps, in float64.
     """
 
     include: str
     any_length: bool
     largest_step: float
-    dark_factors: DarkFactors
-
-
-def _exact_dark(kr: Array, dt: float) -> tuple[Array, Array]:
-    # Near 1 the factor exp(-x) has lost x's last digits in float32, and a slow decay would stand still:
-    # there r loses a share that is small and exact. Further on, the factor itself is the accurate one.
-    x = kr * dt
-    small = x < 0.5
-    return np.where(small, 1.0, np.exp(-x)), np.where(small, -np.expm1(-x), 0.0)
-
-
-def _euler_dark(kr: Array, dt: float) -> tuple[Array, Array]:
-    return np.ones_like(kr), kr * dt
+    keep_in_dark: KeepInDark
 
 
 SOLVERS: dict[str, Solver] = {
-    "exact": Solver("solver_exact.glsl", True, np.inf, _exact_dark),
-    "euler": Solver("solver_euler.glsl", False, EULER_LIMIT, _euler_dark),
+    "exact": Solver("solver_exact.glsl", True, np.inf, lambda kr, dt: np.exp(-kr * dt)),
+    "euler": Solver("solver_euler.glsl", False, EULER_LIMIT, lambda kr, dt: 1 - kr * dt),
 }
 
 
