@@ -15,9 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab import preset
-from phoslab.material import Material
-
 Array = NDArray[np.float64]
 
 SCENES = Path(__file__).resolve().parent / "scenes"
@@ -492,24 +489,7 @@ def write_fading(folder: Path) -> None:
     glb.mesh("fitted-pawn", lathe(pawn, crisp=True), number["fitted"], place((0.22, 0.24, -0.56)))
     glb.save(folder / "scene.glb")
 
-    fitted = two_state_material()
-    fitted.save(folder / "material.json")
     (folder / "scene.toml").write_text(FADING_TOML, encoding="utf-8")
-
-
-def two_state_material() -> Material:
-    """Return a plausible fitted material: the green paint's spectrum, with a fast and a slow state."""
-    green = preset("green")
-    kr = np.array([0.2, 0.02])
-    shape = green.emission[0] / green.emission.sum()
-    return replace(
-        green,
-        name="green, two states",
-        kr_per_s=kr,
-        ke_m2_per_J=np.repeat(green.ke_m2_per_J / 4, 2, axis=0),
-        emission=np.outer([0.7, 2.2], shape),
-        provenance={"note": "Made up for the sample scene, from the preset green; not a measurement."},
-    )
 
 
 FADING_TOML = """\
@@ -542,9 +522,10 @@ purple-cube.material = "preset:purple"
 red-knot.material = "preset:red"
 white-moon.material = "preset:white"
 yellow-star.material = "preset:yellow"
-# A fitted material in other radiance units states its own radiance_factor here.
+# What `phoslab fit` made of the sample session. Its radiance is in the camera's units, so it states a factor of its
+# own: one that lets it start about as bright as the preset green.
 fitted-pawn.material = "material.json"
-fitted-pawn.radiance_factor = 0.001
+fitted-pawn.radiance_factor = 1.3e-8
 
 [initial]
 state = "empty"

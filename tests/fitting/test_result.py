@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from importlib.resources import as_file, files
 
 import numpy as np
 import pytest
@@ -104,3 +105,13 @@ def test_a_camera_without_known_sensitivities_is_refused(green_decay, monkeypatc
     monkeypatch.setattr(Session, "open", lambda _: unknown)
     with pytest.raises(PhoslabError, match="sensitivities"):
         fit_session([green_decay], preset="green")
+
+
+def test_the_sample_scene_shows_the_material_that_this_session_gives(green_fit):
+    shipped = files("phoslab.sample_data") / "scenes" / "fading" / "material.json"
+    with as_file(shipped) as path:
+        material = Material.load(path)
+    # A minimum that is found to the last digits; another version of a library may round on another way to it.
+    assert material.kr_per_s == pytest.approx(green_fit.material.kr_per_s, rel=1e-6)
+    assert material.emission == pytest.approx(green_fit.material.emission, rel=1e-6)
+    assert material.provenance["sessions"] == green_fit.material.provenance["sessions"]
