@@ -12,7 +12,7 @@ from os import PathLike
 
 from phoslab.errors import PhoslabError
 from phoslab.render.device import Device
-from phoslab.render.frames import Frame as Frame
+from phoslab.render.frame import Frame as Frame
 from phoslab.render.frames import Frames as Frames
 from phoslab.render.phosphor_state import Stepping
 from phoslab.render.renderer import Renderer, RenderParameters

@@ -1,52 +1,23 @@
-"""Rendered pictures: band radiance first, colour only when they are shown."""
+"""The pictures of one scene: how bright each is shown, and writing them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.bands import Bands
-from phoslab.colorimetry import xyz_matrix, xyz_to_linear_srgb
+from phoslab.colorimetry import xyz_to_linear_srgb
 from phoslab.errors import PhoslabError
-from phoslab.render.passes import Picture
+from phoslab.render import images
+from phoslab.render.frame import Frame
 from phoslab.render.scene import Exposure
 
 # An automatic exposure brings this share of the pixels that are not dark below display white.
 AUTO_PERCENTILE, AUTO_LEVEL = 99.5, 0.95
 AUTO_DARK = 1e-4
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """The scene at one time.
-
-    Args:
-        time_s: seconds of the scene's schedule.
-        label: the time as it was asked for.
-        bands: the K transport bands.
-        radiance: (h, w, K) band-mean radiance in the scene's units, W m⁻² sr⁻¹ nm⁻¹ in an absolute scene; top row
-            first.
-        warnings: what to know before trusting the picture.
-        debug: (h, w, 3) views of passes in [0, 1], by `PASS.VIEW`.
-    """
-
-    time_s: float
-    label: str
-    bands: Bands
-    radiance: NDArray[np.float32]
-    warnings: tuple[str, ...] = ()
-    debug: Mapping[str, Picture] = field(default_factory=dict)
-
-    @cached_property
-    def xyz(self) -> NDArray[np.float32]:
-        """(h, w, 3) CIE 1931 XYZ; Y in cd/m² in an absolute scene."""
-        return (self.radiance.astype(np.float64) @ xyz_matrix(self.bands)).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +65,6 @@ class Frames:
         Raises:
             PhoslabError: the suffix is another, or the folder cannot be written to.
         """
-        from phoslab.render import images
-
         out = Path(out)
         check_suffix(out)
         written = []

@@ -15,7 +15,7 @@ from phoslab import __version__
 from phoslab.bands import Bands
 from phoslab.colorimetry import display_srgb
 from phoslab.files import replacing
-from phoslab.render.frames import Frame
+from phoslab.render.frame import Frame
 from phoslab.render.passes import Picture
 
 

@@ -22,7 +22,7 @@ from phoslab.render.atlas_irradiance import AtlasIrradiance
 from phoslab.render.device import Device
 from phoslab.render.direct_light import DirectLight
 from phoslab.render.excitation import Excitation
-from phoslab.render.frames import Frame
+from phoslab.render.frame import Frame
 from phoslab.render.gbuffer import GBuffer, GBufferParameters
 from phoslab.render.glow import Glow
 from phoslab.render.gpu_scene import upload

@@ -12,7 +12,8 @@ from PIL import Image
 from phoslab.bands import Bands
 from phoslab.colorimetry import display_srgb, xyz_matrix
 from phoslab.errors import PhoslabError
-from phoslab.render.frames import Frame, Frames, auto_exposure
+from phoslab.render import Frame, Frames
+from phoslab.render.frames import auto_exposure
 from phoslab.render.images import band_channels
 from phoslab.render.scene import Exposure
 
