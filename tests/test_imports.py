@@ -18,7 +18,7 @@ from phoslab.app.cli import COMMANDS
 
 # Import names of everything that phoslab depends on, extras included.
 DEPENDENCIES = {
-    *("numpy", "scipy", "colour", "rawpy", "cv2", "OpenEXR", "tifffile", "jsonschema", "pebble", "serial"),
+    *("numpy", "scipy", "colour", "rawpy", "cv2", "OpenEXR", "tifffile", "jsonschema", "serial"),
     *(
         "moderngl",
         "pygltflib",
@@ -75,7 +75,7 @@ def test_help_loads_pythons_own_modules_and_the_command_line_only(
 
 COLOUR = {"colour", "matplotlib", "PIL", "scipy"}  # colour-science itself loads Matplotlib
 RENDER = {"numpy", "jsonschema", "rich", "moderngl", "pygltflib", "xatlas", *COLOUR}
-FIT = {"numpy", "scipy", "jsonschema", "rich", "cv2", "rawpy", "pebble", *COLOUR}
+FIT = {"numpy", "scipy", "jsonschema", "rich", "cv2", "rawpy", *COLOUR}
 
 
 @pytest.mark.parametrize(

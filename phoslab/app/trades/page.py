@@ -31,12 +31,14 @@ class Table:
         caption: what it shows and how to read it.
         columns: with units.
         rows: text or numbers; None is empty.
+        in_page: whether the page shows it, or only links the file.
     """
 
     name: str
     caption: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str | float | None]]
+    in_page: bool = True
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ in ns a texel and simulated second, and the number of times that the light had t
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -27,6 +28,16 @@ KR = np.array([0.132, 0.009])  # the stickers of Nalbach 2017, Table A.1
 EMISSION = np.array([1.0, 4.5])  # their re-radiation functions' ratio, in the strongest band
 CHECKPOINTS = 8
 EQUAL_ERROR = 1e-3
+# Finer settings than the one that gets here show nothing new.
+FINEST_ERROR = {
+    "euler": 3e-4,
+    "substep": 3e-4,
+    "exact": 3e-4,
+    "exact2": 1e-7,
+    "closed form": 0.0,
+    "rk23": 1e-7,
+}
+FINEST_ERROR |= {"history, 1 sample": 0.0, "history, 1024 samples": 0.0}
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,7 @@ class Problem:
         programme: the light.
         duration_s: how long.
         a: (n_texels, 2) excitation at factor 1, in 1/s.
+        strength: what `a` was scaled by.
     """
 
     name: str
@@ -45,6 +57,7 @@ class Problem:
     programme: Programme
     duration_s: float
     a: Array
+    strength: float = 1.0
 
     def excitation(self, t: float) -> Array:
         """(n_texels, 2) excitation at a time, in 1/s."""
@@ -90,71 +103,101 @@ def problems(n_texels: int, strength: float, seed: int = 1) -> list[Problem]:
     a = strength * 10 ** rng.uniform(-2.5, -0.5, n_texels)[:, None] * np.array([1.0, 0.4])
     passes = rng.uniform(0.5, 3.5, n_texels)[:, None]
     return [
-        Problem("constant", "a lamp that stays on", Switched(((0.0, np.inf),)), 20.0, a),
-        Problem(
-            "switched",
-            "on for 5 s, off for 7 s, on for 3 s, off",
-            Switched(((0, 5.0), (12.0, 15.0))),
-            20.0,
-            a,
-        ),
-        Problem("sinusoidal", "swells and fades with a period of 4 s", Sine(4.0), 20.0, a),
-        Problem("mains flicker", "an unsmoothed lamp at 50 Hz mains: 100 Hz", mains_flicker(50.0), 2.0, a),
-        Problem("strobe", "flashes of 1 ms, 20 a second", Strobe(0.05, 0.02), 4.0, a),
-        Problem("laser sheet", "sweeps by once, 0.1 s at each place", Sweep(passes, 0.05), 4.0, 20 * a),
+        Problem(name, description, programme, duration_s, a * brighter, strength)
+        for name, description, programme, duration_s, brighter in (
+            ("constant", "a lamp that stays on", Switched(((0.0, np.inf),)), 20.0, 1),
+            ("switched", "5 s on, 7 s off, 3 s on, 5 s off", Switched(((0, 5.0), (12.0, 15.0))), 20.0, 1),
+            # Durations that no period divides: steps in time with the light would be right, or wrong, by luck.
+            ("sinusoidal", "a period of 4 s", Sine(4.0), 20.6, 1),
+            ("mains flicker", "unsmoothed, 100 Hz", mains_flicker(50.0), 2.0173, 1),
+            ("strobe", "flashes of 1 ms, 20 a second", Strobe(0.05, 0.02), 4.0371, 1),
+            ("laser sheet", "sweeps by once, 0.1 s", Sweep(passes, 0.05), 4.0, 20),
+        )
     ]
 
 
-def measure(problem: Problem, *, repeats: int, finest: int) -> list[Point]:
-    """Run every method with every setting on one problem.
+def measure(problem: Problem, *, repeats: int, patience_s: float) -> list[Point]:
+    """Run every method on one problem, each setting finer than the last, for as long as there is something to see.
 
     Args:
-        repeats: runs of each, of which the median time counts.
-        finest: exponent of two of the most steps between two checkpoints.
+        repeats: runs of each setting, of which the median time counts.
+        patience_s: a setting whose run takes longer is its method's last.
     """
-    truth = _glow(_cut_at_changes(problem, solvers.SOLVERS["dop853"]))
+    truth = glow(cut_at_changes(problem, step=solvers.SOLVERS["dop853"]))
     points = []
-    for method, setting, run in _methods(problem, finest):
-        try:
-            times, lights = [], 0
-            for _ in range(repeats):
-                counted = _Counted(problem)
-                begin = time.perf_counter()
-                states = run(counted.problem)
-                times.append(time.perf_counter() - begin)
-                lights = counted.n
-        except PhoslabError:
-            continue  # the solver refuses this step, as it says it does
-        per_texel = 1e9 / problem.duration_s / len(problem.a)
-        points.append(
-            Point(
-                method,
-                setting,
-                _error(_glow(states), truth),
-                float(np.median(times)) * per_texel,
-                max(times) / min(times),
-                lights / problem.duration_s,
-            )
-        )
+    for method, settings in _methods(problem).items():
+        for setting, run in settings:
+            try:
+                point, took_s = _measure_one(problem, method, setting, run, truth, repeats)
+            except PhoslabError:
+                continue  # the solver refuses this step, as it says it does
+            points.append(point)
+            if took_s > patience_s or point.error < FINEST_ERROR[method]:
+                break
     return points
 
 
-def time_to(points: list[Point], method: str, error: float = EQUAL_ERROR) -> float | None:
-    """Return the time at which a method reaches `error`, between its points on the log-log plot; None: never.
+def _measure_one(
+    problem: Problem, method: str, setting: str, run: Run, truth: Array, repeats: int
+) -> tuple[Point, float]:
+    times, lights, states = [], 0, np.empty(0)
+    for _ in range(repeats):
+        counted = _Counted(problem)
+        begin = time.perf_counter()
+        states = run(counted.problem)
+        times.append(time.perf_counter() - begin)
+        lights = counted.n
+    took_s = float(np.median(times))
+    return Point(
+        method,
+        setting,
+        error(glow(states), truth),
+        took_s * 1e9 / problem.duration_s / len(problem.a),
+        max(times) / min(times),
+        lights / problem.duration_s,
+    ), took_s
 
-    A method that is at its cheapest setting already better is taken at that setting.
-    """
-    own = sorted((p for p in points if p.method == method), key=lambda p: p.ns)
-    good = [p for p in own if p.error <= error]
-    if not good:
-        return None
-    best = min(good, key=lambda p: p.ns)
-    worse = [p for p in own if p.error > error and p.ns < best.ns]
-    if not worse:
-        return best.ns
-    near = max(worse, key=lambda p: p.ns)
-    share = np.log(near.error / error) / np.log(near.error / max(best.error, 1e-300))
-    return float(np.exp(np.log(near.ns) + share * np.log(best.ns / near.ns)))
+
+@dataclass(frozen=True)
+class Measured:
+    """A problem and every run on it."""
+
+    problem: Problem
+    points: list[Point]
+
+    def time_to(self, method: str, error: float = EQUAL_ERROR) -> float | None:
+        """Return the time in ns at which a method reaches `error`, between its points on the log-log plot.
+
+        None where it never does. A method that is better already at its cheapest setting is taken at that.
+        """
+        own = [p for p in self.points if p.method == method]
+        good = [p for p in own if p.error <= error]
+        if not good:
+            return None
+        best = min(good, key=lambda p: p.ns)
+        worse = [p for p in own if p.error > error and p.ns < best.ns]
+        if not worse:
+            return best.ns
+        near = max(worse, key=lambda p: p.ns)
+        share = np.log(near.error / error) / np.log(near.error / max(best.error, np.finfo(float).tiny))
+        return float(np.exp(np.log(near.ns) + share * np.log(best.ns / near.ns)))
+
+    def gain(self, rival: str) -> tuple[float, bool] | None:
+        """Return how many times faster than `rival` the best exact step reaches `EQUAL_ERROR`.
+
+        And whether that is only a lower bound, since the rival was still worse when patience ended. None: no exact
+        step got there.
+        """
+        own = [t for m in ("exact", "exact2", "closed form") if (t := self.time_to(m)) is not None]
+        if not own:
+            return None
+        theirs = self.time_to(rival)
+        if theirs is not None:
+            return theirs / min(own), False
+        return max(p.ns for p in self.points if p.method == rival) / min(own), True
+
+
+Run = Callable[[Problem], Array]
 
 
 class _Counted:
@@ -178,30 +221,35 @@ class _Counted:
             def changes(self, start: float, stop: float) -> Array:
                 return programme.changes(start, stop)
 
-        self.problem = Problem(problem.name, problem.description, Counting(), problem.duration_s, problem.a)
+        self.problem = replace(problem, programme=Counting())
 
 
-Run = Callable[[Problem], Array]
-
-
-def _methods(problem: Problem, finest: int) -> Iterator[tuple[str, str, Run]]:
-    """Yield (method, setting, run): every solver with steps from a checkpoint apart to 2^finest times finer."""
+def _methods(problem: Problem) -> dict[str, list[tuple[str, Run]]]:
+    """Every method's settings, coarse to fine: steps from a checkpoint apart to 2^13 times finer, or tolerances."""
+    methods: dict[str, list[tuple[str, Run]]] = {}
     for name in ("euler", "substep", "exact", "exact2"):
-        for e in range(finest + 1):
-            dt = problem.duration_s / CHECKPOINTS / 2**e
-            yield name, f"dt = {dt:.3g} s", lambda p, n=2**e, s=solvers.SOLVERS[name]: _march(p, s, n)
+        step = solvers.SOLVERS[name]
+        methods[name] = [
+            (f"dt = {problem.duration_s / CHECKPOINTS / 2**e:.3g} s", partial(_march, step=step, n=2**e))
+            for e in range(14)
+        ]
     if problem.programme.piecewise_constant:
-        yield "closed form", "one step a change", lambda p: _cut_at_changes(p, solvers.SOLVERS["exact"])
-    for tolerance in 10.0 ** -np.arange(1, 8):
+        run = partial(cut_at_changes, step=solvers.SOLVERS["exact"])
+        methods["closed form"] = [("one step a change", run)]
+    methods["rk23"] = [
         # Weak light makes small states: the absolute tolerance must be smaller than those.
-        step = solvers.runge_kutta("RK23", rtol=tolerance, atol=1e-12)
-        yield "rk23", f"rtol = {tolerance:.0e}", lambda p, s=step: _cut_at_changes(p, s)
-    for n in (1, 1024):
-        if n * len(problem.a) <= 2**21:
-            yield f"history, {n} sample{'s' if n > 1 else ''}", "a checkpoint", lambda p, n=n: _history(p, n)
+        (
+            f"rtol = {rtol:.0e}",
+            partial(cut_at_changes, step=solvers.runge_kutta("RK23", rtol=rtol, atol=1e-12)),
+        )
+        for rtol in 10.0 ** -np.arange(1, 8)
+    ]
+    methods["history, 1 sample"] = [("", partial(_history, n=1))]
+    methods["history, 1024 samples"] = [("", partial(_history, n=1024))]
+    return methods
 
 
-def _march(problem: Problem, step: Step, n: int) -> Array:
+def _march(problem: Problem, *, step: Step, n: int) -> Array:
     """Take `n` equal steps between checkpoints; return (CHECKPOINTS, n_texels, 2) states."""
     r, states = np.zeros_like(problem.a), []
     for begin, end in pairwise(problem.checkpoints):
@@ -211,7 +259,7 @@ def _march(problem: Problem, step: Step, n: int) -> Array:
     return np.array(states)
 
 
-def _cut_at_changes(problem: Problem, step: Step) -> Array:
+def cut_at_changes(problem: Problem, *, step: Step) -> Array:
     """Take one step from jump to jump of the light; return (CHECKPOINTS, n_texels, 2) states."""
     r, states = np.zeros_like(problem.a), []
     for begin, end in pairwise(problem.checkpoints):
@@ -229,7 +277,7 @@ def _from_inside(problem: Problem, start: float, stop: float) -> Drive:
     return problem.drive(start, stop)
 
 
-def _history(problem: Problem, n: int) -> Array:
+def _history(problem: Problem, *, n: int) -> Array:
     rng = np.random.default_rng(0)
     kr = np.broadcast_to(KR, problem.a.shape)
 
@@ -240,13 +288,13 @@ def _history(problem: Problem, n: int) -> Array:
     return np.array([history.monte_carlo(past, kr, t, n, rng) for t in problem.checkpoints[1:]])
 
 
-def _glow(states: Array) -> Array:
+def glow(states: Array) -> Array:
     """(..., n_texels) glow Σ Λ_i kr_i r_i (Nalbach 2017, eq. 8.3) in one band."""
     L: Array = states @ (EMISSION * KR)
     return L
 
 
-def _error(glow: Array, truth: Array) -> float:
+def error(glow: Array, truth: Array) -> float:
     # Before the laser sheet has passed a texel it is as dark as it was: what is relative to nothing is left out.
     lit = truth > 1e-9 * truth.max()
     relative = np.where(lit, glow / np.where(lit, truth, 1.0) - 1.0, 0.0)

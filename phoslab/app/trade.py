@@ -1,0 +1,37 @@
+"""Measure speed against accuracy on this machine, and write it down for people and for the planner."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+HELP = "measure speed against accuracy on this machine"
+EXAMPLE = "phoslab trade solver -o trade-solver --quick"
+
+TRADES = ("solver",)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("trade", choices=TRADES, help="what to measure")
+    parser.add_argument(
+        "-o", "--output", required=True, type=Path, metavar="DIR", help="folder to write into"
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer settings and runs: under a minute")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+
+
+def run(args: argparse.Namespace) -> int:
+    import importlib
+    import json
+
+    from phoslab.app.progress import progress_bar
+
+    trade = importlib.import_module(f"phoslab.app.trades.{args.trade}")
+    with progress_bar("measuring", quiet=args.json) as progress:
+        summary, written = trade.measure(args.output, quick=args.quick, progress=progress)
+    if args.json:
+        print(json.dumps({"summary": summary, "files": [str(p) for p in written]}))
+    else:
+        print("\n".join(summary))
+        print(f"The page: {written[0].resolve()}")
+    return 0

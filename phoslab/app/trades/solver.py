@@ -1,0 +1,59 @@
+"""The trade of the rate equations: solvers under light programmes, state formats, extremes, hours, frame rates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from phoslab.app.trades import extremes, hours, precision, previous, rhythm, solver_page
+from phoslab.app.trades.page import write_trade
+from phoslab.app.trades.precision import Measured
+
+Progress = Callable[[int, int], None]
+
+
+def measure(folder: Path, *, quick: bool, progress: Progress) -> tuple[list[str], list[Path]]:
+    """Run every measurement and write the page; return its summary and the files."""
+    n_texels, repeats, patience_s = (512, 1, 0.15) if quick else (4096, 3, 3.0)
+    work = [p for s in (solver_page.STRONG, solver_page.WEAK) for p in precision.problems(n_texels, s)]
+    measured = []
+    for k, problem in enumerate(work):
+        progress(k, len(work))
+        measured.append(Measured(problem, precision.measure(problem, repeats=repeats, patience_s=patience_s)))
+    progress(len(work), len(work))
+
+    summary = solver_page.summary(measured)
+    rhythms, pasts = list(rhythm.measure()), previous.measure(n_texels, 5 * repeats)
+    verdicts = [
+        extremes.judge(name, arithmetic, extremes.in_numpy(dtype), resolution)
+        for dtype, arithmetic, resolution in (
+            (np.float64, "float64", 2.0**-52),
+            (np.float32, "float32", 2.0**-23),
+        )
+        for name in ("euler", "substep", "exact", "exact2", "rk23")
+    ]
+    slow = [e for h in ((1.0,) if quick else (1.0, 24.0)) for e in hours.naive_float32(h)]
+    sections = [
+        solver_page.precision_section(measured),
+        solver_page.equal_section(measured),
+        solver_page.rhythm_section(rhythms),
+        solver_page.previous_section(pasts),
+        solver_page.extremes_section(verdicts),
+        solver_page.hours_section(slow),
+    ]
+    data = {
+        "quick": quick,
+        "points": [
+            {"problem": m.problem.name, "strength": m.problem.strength, **vars(p)}
+            for m in measured
+            for p in m.points
+        ],
+        "rhythms": [vars(r) for r in rhythms],
+        "past": [vars(p) for p in pasts],
+        "extremes": [vars(v) for v in verdicts],
+        "hours": [vars(h) for h in slow],
+    }
+    title = "Solvers of the rate equations: speed against accuracy"
+    return summary, write_trade(folder, "solver", title, summary, sections, data)

@@ -1,0 +1,117 @@
+"""Trades: what is measured, and what is written down."""
+
+import json
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from phoslab.app.trades import extremes, hours, precision, previous, rhythm
+from phoslab.app.trades.page import Plot, Section, Table, write_trade
+from phoslab.app.trades.precision import Measured, Point
+
+NUMPY_SOLVERS = ("euler", "substep", "exact", "exact2", "rk23")
+
+
+@pytest.fixture(scope="module")
+def swelling():
+    """The sinusoidal problem on few texels, measured without patience."""
+    problem = next(p for p in precision.problems(16, 1.0) if p.name == "sinusoidal")
+    return Measured(problem, precision.measure(problem, repeats=1, patience_s=0.05))
+
+
+def test_finer_steps_are_more_accurate_and_ask_for_more_light(swelling):
+    for method in ("euler", "exact", "exact2"):
+        own = [p for p in swelling.points if p.method == method]
+        assert own[-1].error < own[0].error / 10
+        assert own[-1].lights > own[0].lights
+
+
+def test_the_mean_of_the_light_buys_accuracy_at_equal_steps(swelling):
+    first = {m: [p for p in swelling.points if p.method == m][3] for m in ("exact", "exact2")}
+    assert first["exact2"].setting == first["exact"].setting
+    assert first["exact2"].error < first["exact"].error / 10
+
+
+def test_the_previous_method_cannot_saturate(swelling):
+    strong = next(p for p in swelling.points if p.method == "history, 1024 samples")
+    weak_problem = next(p for p in precision.problems(16, 1e-4) if p.name == "sinusoidal")
+    weak = next(
+        p
+        for p in precision.measure(weak_problem, repeats=1, patience_s=0.0)
+        if p.method == "history, 1024 samples"
+    )
+    # 1024 samples: 1/32 of the light's own variation; saturation: of the order of r itself.
+    assert weak.error < 0.1 < strong.error
+
+
+def points(*pairs: tuple[float, float]) -> Measured:
+    problem = precision.problems(1, 1.0)[0]
+    return Measured(problem, [Point("euler", "", error, ns, 1.0, 1.0) for error, ns in pairs])
+
+
+def test_time_to_an_error_lies_on_the_line_between_the_points():
+    assert points((1e-2, 10.0), (1e-4, 1000.0)).time_to("euler", 1e-3) == pytest.approx(100.0)
+    assert points((1e-4, 1000.0), (1e-2, 10.0)).time_to("euler", 1e-3) == pytest.approx(100.0)
+    assert points((1e-4, 50.0)).time_to("euler", 1e-3) == 50.0
+    assert points((1e-2, 50.0)).time_to("euler", 1e-3) is None
+
+
+@pytest.mark.parametrize(("dtype", "resolution"), [(np.float64, 2.0**-52), (np.float32, 2.0**-23)])
+@pytest.mark.parametrize("solver", NUMPY_SOLVERS)
+def test_every_corner_is_refused_or_right(solver, dtype, resolution):
+    verdict = extremes.judge(solver, "", extremes.in_numpy(dtype), resolution)
+    assert (verdict.not_finite, verdict.outside, verdict.past) == (0, 0, 0)
+    assert 0 <= verdict.refused < verdict.n
+    assert (verdict.refused > 0) == (solver in extremes.LIMIT)
+
+
+def test_the_judge_sees_what_is_wrong():
+    def careless(solver: str, corners: extremes.Corners) -> np.ndarray:
+        out = np.full_like(corners.r, np.nan)
+        out[1:], out[2:], out[3:] = 2.0, corners.r[2:], corners.r[3:]
+        return out
+
+    verdict = extremes.judge("exact", "", careless, 0.0)
+    assert (verdict.not_finite, verdict.outside, verdict.past) == (1, 1, 1)
+
+
+def test_only_the_mean_makes_the_frame_rate_irrelevant():
+    errors = {(e.light, e.solver, e.rhythm): e.error for e in rhythm.measure(n_texels=4)}
+    for rhythm_name in ("24 Hz", "60 Hz", "144 Hz", "uneven"):
+        # Second order at 24 Hz: (2π/4 s / 24 Hz)² / 12 of the light's depth is 4e-4, and much of it averages out.
+        assert errors["sinusoidal", "exact2", rhythm_name] < 1e-4 < errors["sinusoidal", "euler", rhythm_name]
+
+
+def test_naive_float32_loses_a_slow_material_within_the_hour():
+    assert max(e.error for e in hours.naive_float32(1.0)) > 1e-3
+
+
+def test_the_cost_of_the_past_grows_with_it():
+    short, *_, long = previous.measure(64, 3)
+    assert long.cache_bytes == 64 * short.cache_bytes
+
+
+def test_a_trade_leaves_a_page_tables_plots_and_data(tmp_path):
+    figure = Figure()
+    figure.subplots().plot([1, 2])
+    table = Table("rows", "A <caption>.", ("name", "value"), [("<b>", 0.12345), ("none", None)])
+    hidden = Table("all-rows", "All.", ("n",), [(1,)], in_page=False)
+    section = Section("Is 1 < 2?", ["It is."], [table, hidden, Plot("line", "A line.", figure)])
+    written = write_trade(tmp_path, "test", "Title", ["Sum & total."], [section], {"costs": [1.5]})
+    assert sorted(p.name for p in written) == [
+        "all-rows.csv",
+        "index.html",
+        "line.svg",
+        "rows.csv",
+        "trade.json",
+    ]
+    page = written[0].read_text()
+    assert "&lt;b&gt;" in page
+    assert "<svg" in page
+    assert 'href="all-rows.csv"' in page
+    assert (tmp_path / "rows.csv").read_text() == "name,value\n<b>,0.12345\nnone,\n"
+    data = json.loads((tmp_path / "trade.json").read_text())
+    assert data["schema"] == "phoslab-trade/1"
+    assert data["costs"] == [1.5]
+    assert data["machine"]["cores"] >= 1
