@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +102,8 @@ def in_numpy(dtype: type[np.float32] | type[np.float64]) -> Stepper:
 
     def step(solver: str, c: Corners) -> Array:
         with np.errstate(over="ignore", under="ignore"):
-            r, a, kr, dt = (x.astype(dtype) for x in (c.r, c.a, c.kr, c.dt))
+            # The solvers are written for float64; NumPy carries float32 through the same formulas.
+            r, a, kr, dt = (cast(Array, x.astype(dtype)) for x in (c.r, c.a, c.kr, c.dt))
             return solvers.SOLVERS[solver](r, Drive.constant(a), kr, dt).astype(np.float64)
 
     return step

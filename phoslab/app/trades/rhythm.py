@@ -62,4 +62,4 @@ def _frames(begin: float, end: float, rhythm: str, rng: np.random.Generator) -> 
     else:
         rate = float(rhythm.removesuffix(" Hz"))
         times = np.arange(np.floor(begin * rate) + 1, np.ceil(end * rate)) / rate
-    return np.r_[begin, times[(begin < times) & (times < end)], end]
+    return np.concatenate([[begin], times[(begin < times) & (times < end)], [end]])

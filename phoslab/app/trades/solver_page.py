@@ -101,7 +101,7 @@ def precision_section(measured: Sequence[Measured]) -> Section:
 
 
 def equal_section(measured: Sequence[Measured]) -> Section:
-    rows = []
+    rows: list[Sequence[str | float | None]] = []
     for m in measured:
         times = [m.time_to(method) for method in STYLE]
         rows.append((m.problem.name, m.problem.strength, *times, _gain(m, "euler"), _gain(m, "rk23")))
