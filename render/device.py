@@ -136,7 +136,7 @@ class Device:
             size: (width, height) in texels.
             components: 1..4; 3 become 4, since three-component textures cannot be rendered to.
             data: (height, width, components).
-            dtype: "f4" or "f2".
+            dtype: "f4", "f2", or "nu2": 0..1 in 65535 parts, `data` as integers.
             linear: bilinear filtering instead of the nearest texel.
             repeat: whether coordinates beyond 0..1 wrap.
         """
@@ -151,15 +151,23 @@ class Device:
         layers: int,
         data: NDArray[Any] | None = None,
         *,
-        dtype: str = "f4",
+        components: int = 4,
         linear: bool = False,
         repeat: bool = False,
     ) -> moderngl.TextureArray:
-        """Make an RGBA array texture; without `data` it is all 0. `data` is (layers, height, width, 4)."""
+        """Make a float32 array texture; without `data` it is all 0.
+
+        Args:
+            size: (width, height) in texels.
+            layers: how many.
+            components: 1..4; 3 become 4.
+            data: (layers, height, width, components).
+            linear, repeat: as for `texture`.
+        """
         self._check_size(size)
-        shape = (layers, size[1], size[0])
-        texels = _padded(data, shape, 4, dtype)
-        texture = self._keep(self.ctx.texture_array((*size, layers), 4, texels.tobytes(), dtype=dtype))
+        n = RENDERABLE[components]
+        texels = _padded(data, (layers, size[1], size[0]), n, "f4")
+        texture = self._keep(self.ctx.texture_array((*size, layers), n, texels.tobytes(), dtype="f4"))
         return _sampled(texture, linear, repeat)
 
     def depth_texture(self, size: tuple[int, int]) -> moderngl.Texture:
@@ -253,27 +261,33 @@ class Device:
 def set_uniforms(program: moderngl.Program | moderngl.ComputeShader, **values: Any) -> None:
     """Set uniforms by name; one that the compiler dropped because it is unused is passed over.
 
-    Matrices are (n, n) as one writes them (column vectors); OpenGL wants the transpose.
+    Matrices are (n, n) as one writes them (column vectors); OpenGL wants the transpose. Bytes are written as they are.
     """
     for name, value in values.items():
         member: Any = program.get(name, None)
         if member is None:
             continue
-        if isinstance(value, np.ndarray):
+        if isinstance(value, bytes):
+            member.write(value)
+        elif isinstance(value, np.ndarray):
             member.write(np.ascontiguousarray(value.T, dtype="f4").tobytes())
         else:
             member.value = value
 
 
 def read_texture(texture: moderngl.Texture) -> NDArray[np.float32]:
-    """Read a float32 texture back as (height, width, components); row 0 is v = 0."""
-    flat = np.frombuffer(texture.read(), dtype="f4" if texture.dtype == "f4" else "f2")
-    return flat.reshape(texture.height, texture.width, texture.components).astype(np.float32)
+    """Read a texture back as (height, width, components); row 0 is v = 0."""
+    flat = np.frombuffer(texture.read(), dtype=_stored(texture.dtype)).astype(np.float32)
+    if texture.dtype == "nu2":
+        flat /= 65535
+    return flat.reshape(texture.height, texture.width, texture.components)
 
 
 def read_array(texture: moderngl.TextureArray, channels: int) -> NDArray[np.float32]:
     """Read a float32 array texture back as (height, width, channels): its layers, four channels each, in a row."""
-    flat = np.frombuffer(texture.read(), dtype="f4").reshape(texture.layers, texture.height, texture.width, 4)
+    flat = np.frombuffer(texture.read(), dtype="f4").reshape(
+        texture.layers, texture.height, texture.width, -1
+    )
     return np.ascontiguousarray(
         flat.transpose(1, 2, 0, 3).reshape(texture.height, texture.width, -1)[..., :channels]
     )
@@ -314,10 +328,15 @@ def source(name: str, defines: Defines) -> str:
 
 
 def _padded(data: NDArray[Any] | None, shape: tuple[int, ...], components: int, dtype: str) -> NDArray[Any]:
-    texels = np.zeros((*shape, components), dtype=dtype)
+    texels = np.zeros((*shape, components), dtype=_stored(dtype))
     if data is not None:
         texels[..., : data.shape[-1]] = data
     return texels
+
+
+def _stored(dtype: str) -> str:
+    """NumPy's name of what a texture of moderngl's type holds: those that read as 0..1 are integers."""
+    return dtype.removeprefix("n")
 
 
 def _sampled(texture: Sampled, linear: bool, repeat: bool) -> Sampled:

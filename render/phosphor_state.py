@@ -9,17 +9,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import moderngl
 import numpy as np
 
 from phoslab.render.atlas_geometry import AtlasGeometry
 from phoslab.render.atlas_irradiance import AtlasIrradiance
-from phoslab.render.device import Device, read_texture
+from phoslab.render.device import Device
 from phoslab.render.excitation import Excitation
 from phoslab.render.gpu_scene import GpuDrawable
 from phoslab.render.passes import Picture, false_grey
 from phoslab.render.phosphor_step import PhosphorStep
 from phoslab.render.solvers import SOLVERS, check_step
+from phoslab.render.state_formats import StateTexture
 
 # Long enough that the exact step ends at the equilibrium whatever the rates.
 FOREVER_S = 1e30
@@ -55,30 +55,27 @@ class PhosphorState:
         assert drawable.drawable.phosphor is not None
         self.drawable, self.atlas, self.light, self.excitation = drawable, atlas, light, excitation
         self.phosphor = drawable.drawable.phosphor
-        self.step = PhosphorStep(device, drawable.material, stepping.solver)
-        self._to_equilibrium = PhosphorStep(device, drawable.material, "exact")
-        self._material, self._stepping = drawable.material, stepping
+        n, kr = drawable.material.n_states, drawable.material.uniform_kr
+        rates = drawable.material.kr if kr is None else kr
+        self.step = PhosphorStep(device, n, rates, stepping.solver)
+        self._to_equilibrium = PhosphorStep(device, n, rates, "exact")
+        self._stepping = stepping
         # Two to step between; the third is what a picture sees, so that it never moves the anchor.
-        self._textures = [
-            device.texture(atlas.size, drawable.material.n_states, linear=True) for _ in range(3)
-        ]
+        self._textures = [StateTexture(device, atlas.size, n, "f32") for _ in range(3)]
         self._anchor = 0
         self._lit: frozenset[str] = frozenset()
         self._excited: frozenset[str] | None = None
-        self.shown: moderngl.Texture = self._textures[0]
+        self.shown: StateTexture = self._textures[0]
 
     @property
-    def anchor(self) -> moderngl.Texture:
+    def anchor(self) -> StateTexture:
         """The state at the anchor."""
         return self._textures[self._anchor]
 
     def reset(self) -> None:
         """Put the state at time 0 in place: empty, saturated, or the equilibrium under given lights."""
         initial = self.phosphor.initial
-        level = 1.0 if initial.state == "saturated" else 0.0
-        first = self._textures[0]
-        full = np.full((first.height, first.width, first.components), level, dtype=np.float32)
-        first.write(full.tobytes())
+        self._textures[0].write(np.array(1.0 if initial.state == "saturated" else 0.0))
         self._anchor, self.shown = 0, self._textures[0]
         if initial.state == "equilibrium":
             self.relight(initial.lights)
@@ -90,7 +87,7 @@ class PhosphorState:
         self._lit = lit
         # A light that flickers comes back to what is already there; darkness needs no excitation at all,
         # except where the rates come from a map and every texel is stepped alike.
-        if lit == self._excited or not (lit or self._material.uniform_kr is None):
+        if lit == self._excited or not (lit or not self.step.needs_no_light_in_dark):
             return
         self.light.run(self.atlas, lit)
         self.excitation.run(self.atlas, self.light)
@@ -125,12 +122,12 @@ class PhosphorState:
 
     def _split(self, dt_s: float) -> tuple[int, float]:
         """Return how many whole steps to take, and the rest in s; check that they are stable."""
-        if SOLVERS[self._stepping.solver].any_length:
+        if SOLVERS[self._stepping.solver].closed_form:
             return 0, dt_s
         step = self._stepping.step_s
         kr = float(self.phosphor.optics.kr_per_s.max())
-        largest = kr + (self.excitation.largest_rate() if self._lit else 0.0)
-        check_step(self._stepping.solver, largest, min(step, dt_s), self.drawable.drawable.name)
+        largest = kr + (float(self.excitation.largest_rates().max()) if self._lit else 0.0)
+        check_step(self._stepping.solver, largest, min(step, dt_s), repr(self.drawable.drawable.name))
         whole = int(np.floor(dt_s / step + NEGLIGIBLE_SHARE))
         rest = dt_s - whole * step
         return whole, rest if rest > NEGLIGIBLE_SHARE * step else 0.0
@@ -145,10 +142,10 @@ class PhosphorState:
             self._textures[target],
             dt_s,
             self.excitation.excitation,
-            dark=not self._lit,
+            np.array([[1.0 if self._lit else 0.0, 0.0, 0.0]]),
             atlas_uv=self.atlas.uv,
         )
 
     def debug_views(self) -> dict[str, Picture]:
         """The sum over the states, bright where full."""
-        return {"state": false_grey(read_texture(self.shown).sum(axis=-1)[::-1])}
+        return {"state": false_grey(self.shown.read().sum(axis=-1)[::-1])}

@@ -9,75 +9,99 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.render.device import Device, set_uniforms
-from phoslab.render.gpu_scene import MaterialTextures
 from phoslab.render.optics import SLOWEST_PER_S
 from phoslab.render.passes import Picture
-from phoslab.render.solvers import find_solver
+from phoslab.render.solvers import find_solver, share_in_dark
+from phoslab.render.state_formats import StateTexture, bind_states, state_defines
+from phoslab.solvers import EXPLICIT_LIMIT
+
+Array = NDArray[np.float64]
 
 GROUP = (64, 1)  # the local size in the shaders
 
 
 class PhosphorStep:
-    """Steps the states of one material, by one solver.
+    """Steps states of one material, by one solver.
 
     A compute shader over rows of texels: measured on a CPU rasterizer, a fifth faster than a fragment shader.
+
+    Args:
+        n_states: n_c.
+        kr: (n_c,) the rates in 1/s; or a texture of them over the material's texture space.
+        solver: a name in `SOLVERS`.
     """
 
     name: ClassVar[str] = "phosphor_step"
     reads: ClassVar[tuple[str, ...]] = ("state", "atlas.excitation", "atlas.uv", "material.kr")
     writes: ClassVar[tuple[str, ...]] = ("state",)
 
-    def __init__(self, device: Device, material: MaterialTextures, solver: str) -> None:
-        self._device, self._material = device, material
-        self._solver = find_solver(solver)
-        defines: dict[str, int | str] = {"SOLVER": self._solver.include, "STATES": material.n_states}
-        if material.uniform_kr is None:
-            defines["KR_MAP"] = 1
-        self._lit = device.compute(self.name, defines)
-        self._dark = device.compute("phosphor_dark", {"STATES": material.n_states})
+    def __init__(self, device: Device, n_states: int, kr: Array | moderngl.Texture, solver: str) -> None:
+        self._device, self._n_states, self._kr = device, n_states, kr
+        self.solver = find_solver(solver)
+
+    @property
+    def needs_no_light_in_dark(self) -> bool:
+        """Whether a step without light has a closed form that is the same for every texel."""
+        return self.solver.closed_form and not isinstance(self._kr, moderngl.Texture)
 
     def run(
         self,
-        r: moderngl.Texture,
-        target: moderngl.Texture,
+        r: StateTexture,
+        target: StateTexture,
         dt_s: float,
-        excitation: moderngl.Texture,
+        excitation: moderngl.TextureArray,
+        course: Array,
         *,
-        dark: bool,
         atlas_uv: moderngl.Texture | None = None,
     ) -> None:
         """Write into `target` the state `dt_s` after `r`.
 
         Args:
-            r: concentrations, n_c channels.
-            target: another texture of the same size and format.
+            r: concentrations.
+            target: another state of the same size and number, in any format.
             dt_s: 0 or more.
-            excitation: a_i in 1/s, constant over the step; all 0 where `dark`.
-            dark: that there is no light: with uniform rates the factors are then computed in float64.
+            excitation: a_i in 1/s at factor 1, a layer for each row of `course` or more.
+            course: (n_layers, 3) each layer's factor over the step, as `Solver.course` gives it.
             atlas_uv: texture coordinates of the texels; needed where kr is a map.
         """
-        r.use(0)
-        target.bind_to_image(0, read=False, write=True)
-        kr = self._material.uniform_kr
-        if dark and kr is not None:
-            set_uniforms(self._dark, r_in=0, keep=_four(self._solver.keep_in_dark(kr, dt_s)))
-            self._device.dispatch(self._dark, target.size, group=GROUP)
-            return
-        excitation.use(1)
-        set_uniforms(self._lit, r_in=0, excitation=1, dt=dt_s)
-        if kr is not None:
-            set_uniforms(self._lit, kr=tuple(np.maximum(_four(kr), SLOWEST_PER_S).tolist()))
+        shader = self._program(r, target, course)
+        bind_states(shader, r, target)
+        if self._is_dark(course):
+            assert isinstance(self._kr, np.ndarray)
+            stay, move = share_in_dark(self._kr, dt_s)
+            set_uniforms(shader, stay=_four(stay), move=_four(move))
         else:
-            assert atlas_uv is not None
-            atlas_uv.use(2)
-            self._material.kr.use(3)
-            set_uniforms(self._lit, atlas_uv=2, kr_map=3)
-        self._device.dispatch(self._lit, target.size, group=GROUP)
+            excitation.use(2)
+            set_uniforms(shader, excitation=2, dt=dt_s, course=course.astype("f4").tobytes())
+            if isinstance(self._kr, np.ndarray):
+                set_uniforms(shader, kr=tuple(np.maximum(_four(self._kr), SLOWEST_PER_S).tolist()))
+            else:
+                assert atlas_uv is not None
+                atlas_uv.use(3)
+                self._kr.use(4)
+                set_uniforms(shader, atlas_uv=3, kr_map=4)
+        self._device.dispatch(shader, target.value.size, group=GROUP)
+
+    def _is_dark(self, course: Array) -> bool:
+        return self.needs_no_light_in_dark and not course.any()
+
+    def _program(self, r: StateTexture, target: StateTexture, course: Array) -> moderngl.ComputeShader:
+        states = state_defines(r, target)
+        if self._is_dark(course):
+            return self._device.compute("phosphor_dark", states)
+        defines: dict[str, int | str] = {
+            "SOLVER": self.solver.include,
+            "EXPLICIT_LIMIT": f"{EXPLICIT_LIMIT:.1f}",
+            "LIGHTS": len(course),
+        }
+        if isinstance(self._kr, moderngl.Texture):
+            defines["KR_MAP"] = 1
+        return self._device.compute(self.name, {**states, **defines})
 
     def debug_views(self) -> dict[str, Picture]:
         """Nothing of its own: `PhosphorState` shows the state."""
         return {}
 
 
-def _four(values: NDArray[np.float64]) -> tuple[float, ...]:
+def _four(values: Array) -> tuple[float, ...]:
     return tuple(np.pad(values, (0, 4 - values.size)).tolist())

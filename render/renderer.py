@@ -105,7 +105,7 @@ class Renderer:
                     drawable,
                     atlas,
                     AtlasIrradiance(device, self.shadow_map, atlas.size, n_bands),
-                    Excitation(device, drawable.material, atlas.size, n_bands),
+                    Excitation(device, drawable.material, atlas.size, n_bands, 1),
                     self.parameters.stepping,
                 )
             )
@@ -129,7 +129,7 @@ class Renderer:
         self._bring_states_to(t_s)
         self.direct_light.run(self.gbuffer, self.drawables, lit)
         for state in self.states:
-            self.glow.run(self.gbuffer, state.drawable, state.shown, self.direct_light.radiance)
+            self.glow.run(self.gbuffer, state.drawable, state.shown.value, self.direct_light.radiance)
         self.resolve.run(self.direct_light.radiance)
         return Frame(
             time_s=t_s,

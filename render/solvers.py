@@ -2,9 +2,9 @@
 
 A solver is a file `shaders/include/solver_NAME.glsl` that defines
 
-    vec4 step_state(vec4 r, vec4 a, vec4 kr, float dt)
+    void step_state(STATE r, STATE kr, Drive drive, float dt, out STATE from, out STATE change)
 
-and one line in `SOLVERS`.
+and one line in `SOLVERS`. The new state is from + change: a format that keeps more than the sum can then do so.
 """
 
 from __future__ import annotations
@@ -13,13 +13,32 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.solvers import EULER_LIMIT
+from phoslab.solvers import EULER_LIMIT, EXPLICIT_LIMIT, Drive
 
 Array = NDArray[np.float64]
-KeepInDark = Callable[[Array, float], Array]
+
+# The quadratics in the share of the step, by their coefficients: the constant 1; and those that are 1 at the start,
+# the middle or the end of the step, and 0 at the two others.
+CONSTANT = np.array([[1.0, 0.0, 0.0]])
+THROUGH = np.array([[1.0, -3.0, 2.0], [0.0, 4.0, -4.0], [0.0, -1.0, 2.0]])
+
+
+def at_start(drive: Drive) -> list[Array]:
+    """Return the light at the step's start."""
+    return [drive.at(0.0)]
+
+
+def at_mean(drive: Drive) -> list[Array]:
+    """Return the mean light of the step."""
+    return [drive.mean]
+
+
+def throughout(drive: Drive) -> list[Array]:
+    """Return the light at the step's start, middle and end; the shader takes the quadratic through them."""
+    return [drive.at(s) for s in (0.0, 0.5, 1.0)]
 
 
 @dataclass(frozen=True)
@@ -28,20 +47,28 @@ class Solver:
 
     Args:
         include: the file in shaders/include.
-        any_length: whether one step may span any stretch of constant light; otherwise the renderer takes steps.
-        largest_step: the largest (a + kr) dt that is stable; inf where every one is.
-        keep_in_dark: (kr, dt) to (n_c,) the share of r that a step without light keeps, in float64.
+        light: what it takes of the light over a step: one value, or those at its start, middle and end.
+        closed_form: whether it solves constant light exactly, so that one step may span any stretch of it.
+        largest_step: the largest (a + kr) dt that it bears; inf where that is any.
     """
 
     include: str
-    any_length: bool
-    largest_step: float
-    keep_in_dark: KeepInDark
+    light: Callable[[Drive], list[Array]]
+    closed_form: bool = False
+    largest_step: float = np.inf
+
+    @property
+    def basis(self) -> Array:
+        """(n, 3) the quadratic in the share of the step that belongs to each value of `light`: its coefficients."""
+        return THROUGH if self.light is throughout else CONSTANT
 
 
 SOLVERS: dict[str, Solver] = {
-    "exact": Solver("solver_exact.glsl", True, np.inf, lambda kr, dt: np.exp(-kr * dt)),
-    "euler": Solver("solver_euler.glsl", False, EULER_LIMIT, lambda kr, dt: 1 - kr * dt),
+    "euler": Solver("solver_euler.glsl", at_start, largest_step=EULER_LIMIT),
+    "substep": Solver("solver_substep.glsl", throughout, largest_step=EXPLICIT_LIMIT),
+    "exact": Solver("solver_exact.glsl", at_start, closed_form=True),
+    "exact2": Solver("solver_exact.glsl", at_mean, closed_form=True),
+    "rk23": Solver("solver_rk23.glsl", throughout, largest_step=EXPLICIT_LIMIT),
 }
 
 
@@ -60,21 +87,35 @@ def find_solver(name: str) -> Solver:
     return SOLVERS[name]
 
 
-def check_step(name: str, largest_rate_per_s: float, dt_s: float, phosphor: str) -> None:
-    """Refuse a step that would overshoot.
+def check_step(name: str, largest_rate_per_s: float, dt_s: float, where: str) -> None:
+    """Refuse a step that would overshoot, or take an explicit method for ever.
 
     Args:
-        largest_rate_per_s: the largest a + kr of any texel.
+        largest_rate_per_s: what no texel's a + kr exceeds.
+        where: what is stepped, for the message.
 
     Raises:
-        PhoslabError: (a + kr) dt is above what the solver bears.
+        PhoslabError: dt is negative or not finite, or (a + kr) dt is above what the solver bears.
     """
+    if not 0 <= dt_s < np.inf:
+        raise PhoslabError(f"is {dt_s:g}", field="dt", remedy="Time runs forwards; give seconds.")
+    limit = find_solver(name).largest_step
     largest = largest_rate_per_s * dt_s
-    if largest > find_solver(name).largest_step:
-        longest = find_solver(name).largest_step / largest_rate_per_s
+    if largest > limit:
+        what = "overshoots" if limit == EULER_LIMIT else "would take too many parts"
         raise PhoslabError(
-            f"overshoots on {phosphor!r}: (a + kr) dt is {largest:.3g}, and above "
-            f"{find_solver(name).largest_step:g} the state leaves [0, 1]",
+            f"{what} on {where}: (a + kr) dt reaches {largest:.3g}, and it bears {limit:g}",
             field=f"solver {name!r}",
-            remedy=f"Step by {longest:.2g} s or less (--step), or use --solver exact.",
+            remedy=f"Step by {limit / largest_rate_per_s:.2g} s or less (--step), or use --solver exact.",
         )
+
+
+def share_in_dark(kr: ArrayLike, dt_s: float) -> tuple[Array, Array]:
+    """Return (stay, move), each (n_c,), of an exact step without light: r' = stay r + move r, in float64.
+
+    Over a short step stay is 1 and move is minus the share that is lost, which so keeps its bits; over a long one
+    stay is 0 and move the share that is kept.
+    """
+    x = np.asarray(kr, dtype=np.float64) * dt_s
+    stay = x < np.log(2)
+    return stay.astype(np.float64), np.where(stay, np.expm1(-x), np.exp(-x))

@@ -2,19 +2,19 @@
 // One step of every texel's rate equations, by the solver that the host chose (Nalbach 2017, eq. 8.1 and 8.5).
 // KR_MAP: the rates vary over the surface.
 layout(local_size_x = 64) in; // a row of texels: an eighth faster than a square on a CPU rasterizer
-#include "state.glsl"
+#include "state_texture.glsl"
+#include "drive.glsl"
 #include "SOLVER"
 
-uniform sampler2D r_in;
-uniform sampler2D excitation; // a_i in 1/s
-uniform float dt;             // s
+uniform sampler2DArray excitation; // a_i in 1/s at factor 1: one layer a light, or lights that run alike
+uniform vec3 course[LIGHTS];       // each layer's factor, as a quadratic in the share of the step
+uniform float dt;                  // s
 #ifdef KR_MAP
 uniform sampler2D atlas_uv;
 uniform sampler2D kr_map;
 #else
 uniform vec4 kr; // 1/s
 #endif
-layout(STATE_FORMAT, binding = 0) writeonly uniform image2D r_out;
 
 void main() {
     ivec2 texel = ivec2(gl_GlobalInvocationID.xy);
@@ -22,7 +22,14 @@ void main() {
 #ifdef KR_MAP
     vec4 kr = textureLod(kr_map, texelFetch(atlas_uv, texel, 0).xy, 0.0);
 #endif
-    STATE r = OF_STATES(texelFetch(r_in, texel, 0));
-    STATE a = OF_STATES(texelFetch(excitation, texel, 0));
-    imageStore(r_out, texel, TO_FOUR(step_state(r, a, OF_STATES(kr), dt)));
+    Drive drive = Drive(STATE(0.0), STATE(0.0), STATE(0.0));
+    for (int l = 0; l < LIGHTS; ++l) {
+        STATE a = OF_STATES(texelFetch(excitation, ivec3(texel, l), 0));
+        drive.a0 += course[l].x * a;
+        drive.a1 += course[l].y * a;
+        drive.a2 += course[l].z * a;
+    }
+    STATE r = load_state(texel), from, change;
+    step_state(r, OF_STATES(kr), drive, dt, from, change);
+    store_state(texel, r, from, change);
 }

@@ -32,7 +32,7 @@ def draw(renderer: Renderer, lit: frozenset[str]) -> None:
     renderer.gbuffer.run(renderer.scene.camera)
     renderer.direct_light.run(renderer.gbuffer, renderer.drawables, lit)
     for state in renderer.states:
-        renderer.glow.run(renderer.gbuffer, state.drawable, state.shown, renderer.direct_light.radiance)
+        renderer.glow.run(renderer.gbuffer, state.drawable, state.shown.value, renderer.direct_light.radiance)
     renderer.resolve.run(renderer.direct_light.radiance)
     renderer.resolve.read()
 

@@ -153,7 +153,7 @@ def test_counting_from_lamp_off_needs_a_lamp_that_goes_off(lit, refuses):
 
 def test_an_unknown_solver_and_a_wrong_step_are_refused(lit, refuses):
     scene = load_scene(lit.write())
-    assert "Use one of: exact" in refuses(render, scene, ["0"], solver="magic")
+    assert "Use one of: euler, substep, exact" in refuses(render, scene, ["0"], solver="magic")
     assert "the step is -1" in refuses(render, scene, ["0"], solver="euler", step_s=-1)
 
 

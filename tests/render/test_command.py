@@ -52,7 +52,7 @@ def test_every_pass_shows_what_it_made(scene, tmp_path, capsys):
         (["--at", "soon"], "'soon' is not understood"),
         (["--size", "640"], "--size is '640'"),
         (["--size", "0x5"], "--size is '0x5'"),
-        (["--solver", "magic"], "Use one of: exact"),
+        (["--solver", "magic"], "Use one of: euler, substep, exact"),
         (["--debug", "nothing"], "'nothing' is unknown"),
         (["-o", "glow.jpg"], "Name a .png or .exr"),
         (["--size", "99999x99999"], "more than this OpenGL driver can hold"),

@@ -40,7 +40,7 @@ def test_state_after_a_schedule_equals_the_reference(quad, device, lamp_toml, gr
     for light, dt in ((E, 10.0), (0 * E, 5.0), (E, 3.0), (0 * E, 20.0)):
         r = kinetics.advance(green, r, light, dt)
     # Four light changes, each a step of some 16 roundings.
-    np.testing.assert_allclose(read_texture(renderer.states[0].shown), r, rtol=4 * FLOAT32)
+    np.testing.assert_allclose(renderer.states[0].shown.read(), r, rtol=4 * FLOAT32)
 
 
 def test_each_set_of_lights_excites_by_its_own_irradiance(quad, device, lamp_toml, green_toml):
@@ -64,7 +64,7 @@ def test_each_set_of_lights_excites_by_its_own_irradiance(quad, device, lamp_tom
     r = np.zeros((64, 64, 1))
     for E in (left, right_E, left + right_E):
         r = kinetics.advance(phoslab.preset("green"), r, E, 4.0)
-    np.testing.assert_allclose(read_texture(renderer.states[0].shown), r, rtol=4 * FLOAT32)
+    np.testing.assert_allclose(renderer.states[0].shown.read(), r, rtol=4 * FLOAT32)
 
 
 def test_any_time_costs_the_light_changes_and_not_the_frames(
@@ -102,7 +102,7 @@ def test_equilibrium_start_is_the_equilibrium_under_its_lights(quad, device, lam
     x, y = np.meshgrid(centre, centre)
     E = (x**2 + y**2 + 1.0)[..., None] ** -1.5 * scene.lights[0].irradiance_at_1m
     want = kinetics.equilibrium(phoslab.preset("green"), E)
-    np.testing.assert_allclose(read_texture(renderer.states[0].shown), want, rtol=FLOAT32)
+    np.testing.assert_allclose(renderer.states[0].shown.read(), want, rtol=FLOAT32)
 
 
 def test_euler_approaches_the_exact_state_as_its_step_shrinks(quad, lamp_toml, green_toml):
@@ -144,7 +144,7 @@ def test_instances_of_one_mesh_have_their_own_state(quad, device, lamp_toml, gre
     renderer = Renderer(device, scene, RenderParameters((8, 8), 1))
     renderer.frame(5.0)
     assert [d.name for d in scene.phosphors] == ["quad", "hidden"]
-    lit, hidden = (read_texture(state.shown) for state in renderer.states)
+    lit, hidden = (state.shown.read() for state in renderer.states)
     assert lit.min() > 0.1
     assert (hidden == 0).all()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import moderngl
 import numpy as np
 import pytest
 
@@ -12,15 +11,16 @@ import phoslab
 from phoslab import kinetics, solvers
 from phoslab.bands import Bands
 from phoslab.material import Material
-from phoslab.render.device import Device, read_texture
-from phoslab.render.gpu_scene import MaterialTextures
+from phoslab.render.bare_state import STEADY, BareState
+from phoslab.render.device import Device
 from phoslab.render.optics import Optics
-from phoslab.render.phosphor_step import PhosphorStep
-from phoslab.render.solvers import SOLVERS
+from phoslab.solvers import Drive
 
 U = 2.0**-24  # half a unit in the last place of a float32 near 1
 
 SIDE = 32
+
+DARK = Drive.constant(np.array(0.0))
 
 
 def as_float32(values: np.ndarray) -> np.ndarray:
@@ -28,25 +28,11 @@ def as_float32(values: np.ndarray) -> np.ndarray:
     return np.asarray(values, dtype=np.float32).astype(np.float64)
 
 
-class Bench:
-    """A PhosphorStep between two textures."""
-
-    def __init__(self, device: Device, kr: np.ndarray, r: np.ndarray, a: np.ndarray, solver: str) -> None:
-        n = kr.size
-        one = device.texture_array((1, 1), 1)
-        material = MaterialTextures(device.texture((1, 1), n, kr[None, None]), one, one, n, kr)
-        self.textures = [device.texture((SIDE, SIDE), n, data) for data in (r, np.zeros_like(r))]
-        self.excitation = device.texture((SIDE, SIDE), n, a)
-        self.step = PhosphorStep(device, material, solver)
-        self.n, self.at, self.dark = n, 0, not a.any()
-
-    def run(self, dt: float, steps: int = 1) -> np.ndarray:
-        for _ in range(steps):
-            self.step.run(
-                self.textures[self.at], self.textures[1 - self.at], dt, self.excitation, dark=self.dark
-            )
-            self.at = 1 - self.at
-        return read_texture(self.textures[self.at])[..., : self.n].astype(np.float64)
+def stepped(device: Device, kr, r, a, dt: float, n: int = 1, solver: str = "exact") -> np.ndarray:
+    """The state after n steps; in darkness by the step that knows of it."""
+    state = BareState(device, kr, a, solver, r0=r)
+    state.advance_many(dt, n, STEADY if a.any() else DARK)
+    return state.read()
 
 
 def spread(low: float, high: float, n: int, seed: int) -> np.ndarray:
@@ -73,7 +59,7 @@ def test_ten_thousand_charging_steps_stay_within_the_float32_bound(device, n_sta
     kr = as_float32(np.array([0.227, 0.009, 0.05, 0.001])[:n_states])
     a, dt = spread(1e-4, 1.0, n_states, seed=1), 1 / 60
     r = spread(1e-3, 1.0, n_states, seed=2)
-    gpu = Bench(device, kr, r, a, "exact").run(dt, 10_000)
+    gpu = stepped(device, kr, r, a, dt, 10_000)
     want = solvers.exact_step(r, a, kr, np.float64(np.float32(dt)) * 10_000)
     assert (np.abs(gpu - want) <= step_bound(a, kr, dt, 10_000)).all()
 
@@ -82,7 +68,7 @@ def test_ten_thousand_dark_steps_stay_within_the_float32_bound(device):
     """Dark: each step rounds the factor and the product, relative to r: 2 n U."""
     kr, dt = as_float32(np.array([0.227, 0.009])), 1 / 60
     r = spread(1e-3, 1.0, 2, seed=3)
-    gpu = Bench(device, kr, r, np.zeros_like(r), "exact").run(dt, 10_000)
+    gpu = stepped(device, kr, r, np.zeros_like(r), dt, 10_000)
     want = r * np.exp(-kr * dt * 10_000)
     assert (np.abs(gpu - want) <= 2 * 10_000 * U * want).all()
 
@@ -92,7 +78,7 @@ def test_anchored_jump_is_accurate_to_a_few_ulp(device):
     kr = as_float32(np.array([0.227, 0.009]))
     for seed, dt in enumerate((1 / 60, 1.0, 30.0, 1000.0, 1e6)):
         a, r = spread(1e-4, 1.0, 2, seed), spread(1e-3, 1.0, 2, seed + 50)
-        gpu = Bench(device, kr, r, a, "exact").run(dt)
+        gpu = stepped(device, kr, r, a, dt)
         want = solvers.exact_step(r, a, kr, np.float64(np.float32(dt)))
         assert np.abs(gpu - want).max() <= 16 * U
 
@@ -101,7 +87,7 @@ def test_anchored_jump_is_accurate_to_a_few_ulp(device):
 def test_dark_jump_equals_kinetics_decay_to_the_last_bits(device, dt):
     green = phoslab.preset("green")
     r = spread(1e-3, 1.0, 1, seed=4)
-    gpu = Bench(device, green.kr_per_s, r, np.zeros_like(r), "exact").run(dt)
+    gpu = stepped(device, green.kr_per_s, r, np.zeros_like(r), dt)
     want = kinetics.decay(green, r, np.full((SIDE, SIDE), dt))
     normal = want > 1e-37
     # The factor is rounded once and the product once.
@@ -115,7 +101,7 @@ def test_texels_in_shadow_fade_as_accurately_as_in_darkness(device):
     for dt in (1e-3, 1 / 60, 1.0, 3.0, 30.0, 300.0):
         a, r = spread(1e-4, 1.0, 2, seed=8), spread(1e-3, 1.0, 2, seed=9)
         a[::2] = 0.0
-        gpu = Bench(device, kr, r, a, "exact").run(dt)[::2]
+        gpu = stepped(device, kr, r, a, dt)[::2]
         x = kr * np.float64(np.float32(dt))
         error = np.abs(gpu / (r[::2] * np.exp(-x)) - 1)
         assert (error <= (2 * x + 6) * U).all()
@@ -126,7 +112,7 @@ def test_slow_material_is_as_accurate_after_an_hour_as_after_a_frame(device):
     kr = as_float32(np.array([1e-4]))
     r = spread(1e-3, 1.0, 1, seed=10)
     for dt in (1 / 60, 60.0, 3600.0, 86400.0):
-        gpu = Bench(device, kr, r, np.zeros_like(r), "exact").run(dt)
+        gpu = stepped(device, kr, r, np.zeros_like(r), dt)
         np.testing.assert_allclose(gpu, r * np.exp(-kr * dt), rtol=3 * U)
 
 
@@ -138,10 +124,11 @@ def test_exact_step_never_leaves_the_unit_interval(device):
         r = np.random.default_rng(seed).uniform(0, 1, a.shape)
         r[::5], r[1::5] = 0.0, 1.0
         r = as_float32(r)
-        bench = Bench(device, np.array([kr]), r, a, "exact")
+        state = BareState(device, [kr], a, "exact", r0=r)
         for dt in (1e-6, 1.0, 1e6):
-            before = read_texture(bench.textures[bench.at])[..., :1].astype(np.float64)
-            after = bench.run(dt)
+            before = state.read()
+            state.advance(dt)
+            after = state.read()
             assert np.isfinite(after).all()
             assert ((after >= 0) & (after <= 1)).all()
             # The float32 equilibrium may differ from this one by its own rounding.
@@ -153,43 +140,18 @@ def test_exact_step_never_leaves_the_unit_interval(device):
 def test_euler_step_is_that_of_the_paper(device):
     kr, dt = as_float32(np.array([0.227, 0.009])), 1 / 60
     a, r = spread(1e-4, 1.0, 2, seed=5), spread(1e-3, 1.0, 2, seed=6)
-    gpu = Bench(device, kr, r, a, "euler").run(dt)
+    gpu = stepped(device, kr, r, a, dt, solver="euler")
     want = solvers.euler(r, solvers.Drive.constant(a), kr, np.float64(np.float32(dt)))
     # The increment is below 0.02, with some four roundings; the sum is rounded once.
     assert np.abs(gpu - want).max() <= U * (1 + 6 * 0.02)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_every_gpu_solver_has_its_reference(solver):
-    assert solver in solvers.SOLVERS
-
-
-def test_rates_from_a_map_step_every_texel_by_its_own(device):
-    """A kr map on a dark texture: r exp(-kr dt) with kr looked up by the atlas's texture coordinates."""
-    kr_map = spread(1e-3, 1.0, 1, seed=7)
-    centre = (np.arange(SIDE) + 0.5) / SIDE
-    uv = np.stack(np.meshgrid(centre, centre), axis=-1)
-    one = device.texture_array((1, 1), 1)
-    material = MaterialTextures(device.texture((SIDE, SIDE), 1, kr_map, linear=True), one, one, 1, None)
-    r, out = (device.texture((SIDE, SIDE), 1, np.full((SIDE, SIDE, 1), v)) for v in (1.0, 0.0))
-    PhosphorStep(device, material, "exact").run(
-        r,
-        out,
-        5.0,
-        device.texture((SIDE, SIDE), 1),
-        dark=True,
-        atlas_uv=device.texture((SIDE, SIDE), 2, uv),
-    )
-    got = read_texture(out)[..., 0]
-    # Bilinear weights are near 0 and 1 at texel centres, but not exactly: 8 fraction bits in the worst hardware.
-    np.testing.assert_allclose(got, np.exp(-5 * kr_map[..., 0]), atol=2.0**-8)
-
-
-def test_steps_use_two_textures_of_the_documented_size(device):
-    """Two states take 8 bytes a texel, three take 16: three-channel textures cannot be drawn to."""
-    for n_states, channels in ((1, 1), (2, 2), (3, 4), (4, 4)):
-        texture: moderngl.Texture = device.texture((4, 4), n_states)
-        assert texture.components == channels
+def test_rates_of_every_texel_step_it_by_its_own(device):
+    kr = spread(1e-3, 1.0, 1, seed=7)
+    state = BareState(device, kr, np.zeros_like(kr), r0=1.0)
+    state.advance(5.0)
+    # As a texel in shadow: errors of x = kr dt, of the polynomial and of the product.
+    assert (np.abs(state.read() / np.exp(-5 * kr) - 1) <= (2 * 5 * kr + 6) * U).all()
 
 
 def test_optics_of_a_two_state_material_keep_its_excitation():
