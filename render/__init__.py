@@ -18,15 +18,17 @@ from phoslab.render.phosphor_state import Stepping
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.render.scene import Scene as Scene
 from phoslab.render.scene import load_scene as load_scene
-from phoslab.render.solvers import find_solver
+from phoslab.render.solvers import DEFAULT, DEFAULT_IN_VARYING_LIGHT, find_solver
+from phoslab.render.state_formats import find_format
 
 
 def render(
     scene: Scene | str | PathLike[str],
     times: Sequence[str | float] | None = None,
     *,
-    solver: str = "exact",
+    solver: str | None = None,
     step_s: float = 1 / 60,
+    state_format: str = "f32",
     size: tuple[int, int] | None = None,
     supersampling: int | None = None,
     debug: Sequence[str] = (),
@@ -38,8 +40,10 @@ def render(
     Args:
         scene: a `Scene`, or the path of a scene.toml or of its folder.
         times: seconds, or text as in a scene file (`off+80s`); None: those of the scene.
-        solver: "exact" (any stretch of constant light in one step) or "euler" (the paper's).
-        step_s: the step of "euler", in s.
+        solver: a name in `phoslab.render.solvers.SOLVERS`; None: "exact", or "exact2" where a light of the scene
+            varies continuously. These two take any stretch of constant light in one step.
+        step_s: the step in s, wherever one step does not span a stretch.
+        state_format: a name in `phoslab.render.state_formats.FORMATS`.
         size: (width, height) in pixels; None: the scene's.
         supersampling: samples along the side of a pixel; None: the scene's.
         debug: names of passes whose results are to come with the frames.
@@ -50,10 +54,14 @@ def render(
         One frame a time, in the order asked for.
 
     Raises:
-        PhoslabError: the scene, a time or the solver is wrong, Euler would overshoot, or there is no OpenGL.
+        PhoslabError: the scene, a time, the solver or the format is wrong, the solver does not bear its step,
+            or there is no OpenGL.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    if solver is None:
+        solver = DEFAULT if scene.schedule.piecewise_constant else DEFAULT_IN_VARYING_LIGHT
     find_solver(solver)
+    find_format(state_format)
     if not 0 < step_s < float("inf"):
         raise PhoslabError(f"is {step_s:g}", field="the step", remedy="Give a positive number of seconds.")
     labels = [t if isinstance(t, str) else f"{t:g}" for t in (scene.times if times is None else times)]
@@ -61,7 +69,7 @@ def render(
     parameters = RenderParameters(
         size=size or scene.size,
         supersampling=supersampling or scene.supersampling,
-        stepping=Stepping(solver, step_s),
+        stepping=Stepping(solver, step_s, state_format),
         debug=tuple(debug),
     )
     if device is None:

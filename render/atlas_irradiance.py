@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from phoslab.render.atlas_geometry import AtlasGeometry
@@ -23,12 +24,12 @@ class AtlasIrradiance:
         self.irradiance = device.texture_array(size, layer_count(n_bands))
         self._program = device.compute(self.name, {**shadows.defines, "LAYERS": layer_count(n_bands)})
 
-    def run(self, atlas: AtlasGeometry, lit: frozenset[str]) -> None:
-        """Write the irradiance while the lights named in `lit` are on."""
+    def run(self, atlas: AtlasGeometry, factors: Mapping[str, float]) -> None:
+        """Write the irradiance of the lights, each at its factor (absent: off)."""
         atlas.position_w.use(0)
         atlas.normal_w.use(1)
         set_uniforms(self._program, position_w=0, normal_w=1)
-        self._shadows.bind(self._program, lit, unit=2)
+        self._shadows.bind(self._program, factors, unit=2)
         self.irradiance.bind_to_image(0, read=False, write=True)
         self._device.dispatch(self._program, self._size)
 

@@ -54,7 +54,7 @@ class BareState:
         first, rates = _checked(a, "a"), _checked(kr, "kr")
         h, w, self.n_states = first.shape
         self.size = (w, h)
-        self._largest_kr = float(rates.max())
+        self._kr, self._first = rates, first
         kr_map = (
             None
             if rates.ndim == 1
@@ -68,7 +68,6 @@ class BareState:
         )
         self._now.write(np.asarray(r0, dtype=np.float64))
         self._a = device.texture_array(self.size, 1, first[None], components=self.n_states)
-        self._largest_a = float(first.max())
 
     @property
     def bytes_per_texel(self) -> int:
@@ -91,7 +90,7 @@ class BareState:
     def advance_many(self, dt_s: float, n: int, light: Drive = STEADY) -> None:
         """Take `n` steps, each under the same light; otherwise as `advance`."""
         excitation, course, largest = self._excite(light)
-        check_step(self._solver_name, largest + self._largest_kr, dt_s, "a texel")
+        check_step(self._solver_name, float((largest + self._kr).max()), dt_s, "a texel")
         for _ in range(n):
             self._step.run(self._now, self._next, dt_s, excitation, course, atlas_uv=self._texel_uv)
             self._now, self._next = self._next, self._now
@@ -113,15 +112,15 @@ class BareState:
         """For steps that bring excitations of their own: a layer for each that the solver takes."""
         return self._device.texture_array(self.size, len(self.solver.basis), components=self.n_states)
 
-    def _excite(self, light: Drive) -> tuple[moderngl.TextureArray, Array, float]:
-        """Return the excitation, its course over the step, and what no texel's a exceeds."""
+    def _excite(self, light: Drive) -> tuple[moderngl.TextureArray, Array, Array]:
+        """Return the excitation, its course over the step, and (h, w, n_c) what a does not exceed."""
         values = np.array([_checked(value, "light") for value in self.solver.light(light)])
         if values.ndim == 1:
-            return self._a, values[None] @ self.solver.basis, self._largest_a * float(values.max())
+            return self._a, values[None] @ self.solver.basis, self._first * values.max()
         texels = np.zeros((len(values), self.size[1], self.size[0], self._own_a.components), dtype=np.float32)
         texels[..., : self.n_states] = values
         self._own_a.write(texels.tobytes())
-        return self._own_a, self.solver.basis, float(values.max())
+        return self._own_a, self.solver.basis, values.max(axis=0)
 
 
 def _checked(values: ArrayLike, field: str) -> Array:

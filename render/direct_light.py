@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from phoslab.render.device import Device, read_array, set_uniforms
@@ -35,12 +35,12 @@ class DirectLight:
         self.radiance = device.texture_array(size, layer_count(n_bands))
         self._program = device.compute(self.name, {**shadows.defines, "LAYERS": layer_count(n_bands)})
 
-    def run(self, gbuffer: GBuffer, drawables: Sequence[GpuDrawable], lit: frozenset[str]) -> None:
-        """Write the radiance while the lights named in `lit` are on."""
+    def run(self, gbuffer: GBuffer, drawables: Sequence[GpuDrawable], factors: Mapping[str, float]) -> None:
+        """Write the radiance under the lights, each at its factor (absent: off)."""
         gbuffer.normal_w.use(1)
         gbuffer.uv.use(2)
         set_uniforms(self._program, normal_w=1, uv=2, reflectance=3)
-        self._shadows.bind(self._program, lit, unit=4)
+        self._shadows.bind(self._program, factors, unit=4)
         self.radiance.bind_to_image(0, read=False, write=True)
         # Number 0 is the background: whatever was there before becomes black.
         whole = (0, 0, *gbuffer.size)

@@ -51,14 +51,19 @@ class Excitation:
         self.excitation.bind_to_image(0, read=False, write=True)
         self._device.dispatch(self._program, self._size)
 
+    @property
+    def layers(self) -> int:
+        """How many layers there are."""
+        return int(self.excitation.layers)
+
     def largest_rates(self) -> Array:
         """Return (layers,) the largest a_i of any texel and state, in 1/s."""
         n = self.excitation.components
-        values = read_array(self.excitation, self.excitation.layers * n).astype(np.float64)
-        largest: Array = values.reshape(-1, self.excitation.layers, n).max(axis=(0, 2))
+        values = read_array(self.excitation, self.layers * n).astype(np.float64)
+        largest: Array = values.reshape(-1, self.layers, n).max(axis=(0, 2))
         return largest
 
     def debug_views(self) -> dict[str, Picture]:
         """The sum over the states and layers."""
-        values = read_array(self.excitation, self.excitation.layers * self.excitation.components)
+        values = read_array(self.excitation, self.layers * self.excitation.components)
         return {"excitation": false_grey(values.sum(axis=-1)[::-1])}

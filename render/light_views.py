@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,9 +74,13 @@ def views_of(light: GltfLight, box: Array, tile: int, guard: int) -> LightViews:
 
 
 def pack_lights(
-    lights: Sequence[Light], views: Sequence[LightViews], lit: frozenset[str]
+    lights: Sequence[Light], views: Sequence[LightViews], factors: Mapping[str, float]
 ) -> NDArray[np.float32]:
-    """Return (n_lights, 3, 4): the array of `Light` of shaders/include/lights.glsl."""
+    """Return (n_lights, 3, 4): the array of `Light` of shaders/include/lights.glsl.
+
+    Args:
+        factors: of the lights' irradiance, by name; 0 for those that it leaves out.
+    """
     packed = np.zeros((len(lights), 3, 4), dtype=np.float32)
     first = 0
     for row, light, view in zip(packed, lights, views, strict=True):
@@ -89,7 +93,7 @@ def pack_lights(
             offset = -outer * scale
         row[0] = *place.position_w, view.kind
         row[1] = *place.direction_w, view.texel_at_unit_depth_m
-        row[2] = scale, offset, first, float(place.name in lit)
+        row[2] = scale, offset, first, factors.get(place.name, 0.0)
         first += len(view.world_to_clip)
     return packed
 

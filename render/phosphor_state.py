@@ -1,25 +1,31 @@
 """One phosphor's state: concentrations at an anchor in time, and the excitation since then.
 
-The state is re-anchored only when light changes. A picture evaluates the closed form from the anchor into a
-texture of its own, so that rounding does not build up and any time is one step away. A solver that cannot span
-any length moves the anchor step by step.
+While every light is constant, the state is re-anchored only when light changes: a picture evaluates the closed form
+from the anchor into a texture of its own, so that rounding does not build up and any time is one step away. Where
+light varies, or a solver has no closed form, the anchor moves step by step.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phoslab.render.atlas_geometry import AtlasGeometry
 from phoslab.render.atlas_irradiance import AtlasIrradiance
 from phoslab.render.device import Device
 from phoslab.render.excitation import Excitation
 from phoslab.render.gpu_scene import GpuDrawable
+from phoslab.render.light_course import Segment
 from phoslab.render.passes import Picture, false_grey
 from phoslab.render.phosphor_step import PhosphorStep
-from phoslab.render.solvers import SOLVERS, check_step
+from phoslab.render.schedule import Schedule
+from phoslab.render.solvers import check_step
 from phoslab.render.state_formats import StateTexture
+
+Array = NDArray[np.float64]
 
 # Long enough that the exact step ends at the equilibrium whatever the rates.
 FOREVER_S = 1e30
@@ -30,14 +36,21 @@ NEGLIGIBLE_SHARE = 1e-6
 
 @dataclass(frozen=True)
 class Stepping:
-    """How states advance: a name in `SOLVERS`, and its step in s where it cannot span any length."""
+    """How states advance.
+
+    Args:
+        solver: a name in `SOLVERS`.
+        step_s: its step in s, where it does not span a whole stretch of constant light.
+        state_format: a name in `FORMATS`: what holds the state at the anchor.
+    """
 
     solver: str = "exact"
     step_s: float = 1 / 60
+    state_format: str = "f32"
 
 
 class PhosphorState:
-    """The concentrations of one drawable: n_c channels over its atlas, float32.
+    """The concentrations of one drawable: n_c channels over its atlas.
 
     `shown` is the state at the time last asked for.
     """
@@ -48,103 +61,102 @@ class PhosphorState:
         drawable: GpuDrawable,
         atlas: AtlasGeometry,
         light: AtlasIrradiance,
-        excitation: Excitation,
+        n_bands: int,
+        schedule: Schedule,
         stepping: Stepping,
     ) -> None:
-        assert drawable.material is not None
-        assert drawable.drawable.phosphor is not None
-        self.drawable, self.atlas, self.light, self.excitation = drawable, atlas, light, excitation
-        self.phosphor = drawable.drawable.phosphor
-        n, kr = drawable.material.n_states, drawable.material.uniform_kr
-        rates = drawable.material.kr if kr is None else kr
-        self.step = PhosphorStep(device, n, rates, stepping.solver)
-        self._to_equilibrium = PhosphorStep(device, n, rates, "exact")
+        material, phosphor = drawable.material, drawable.drawable.phosphor
+        assert material is not None
+        assert phosphor is not None
+        self.drawable, self.atlas, self.light, self.phosphor = drawable, atlas, light, phosphor
+        # The lights of each layer of excitation; the last is for an initial equilibrium, if there is one.
+        self._lights = list(schedule.alike.values())
+        if phosphor.initial.lights:
+            self._lights.append(phosphor.initial.lights)
+        self.excitation = Excitation(device, material, atlas.size, n_bands, len(self._lights))
+        rates = material.kr if material.uniform_kr is None else material.uniform_kr
+        self.step = PhosphorStep(device, material.n_states, rates, stepping.solver)
+        self._to_equilibrium = PhosphorStep(device, material.n_states, rates, "exact")
         self._stepping = stepping
-        # Two to step between; the third is what a picture sees, so that it never moves the anchor.
-        self._textures = [StateTexture(device, atlas.size, n, "f32") for _ in range(3)]
-        self._anchor = 0
-        self._lit: frozenset[str] = frozenset()
-        self._excited: frozenset[str] | None = None
-        self.shown: StateTexture = self._textures[0]
+        self._anchor, self._spare = (
+            StateTexture(device, atlas.size, material.n_states, stepping.state_format) for _ in range(2)
+        )
+        # A picture's state is float32 whatever the format, and never moves the anchor.
+        self._picture = StateTexture(device, atlas.size, material.n_states, "f32")
+        self.shown = self._anchor
 
-    @property
-    def anchor(self) -> StateTexture:
-        """The state at the anchor."""
-        return self._textures[self._anchor]
+    def excite(self) -> None:
+        """Find the excitation of every texel under each course's lights. Once is enough while nothing moves."""
+        for layer, names in enumerate(self._lights):
+            self.light.run(self.atlas, dict.fromkeys(names, 1.0))
+            self.excitation.run(self.atlas, self.light, layer)
+        if np.isfinite(self.step.solver.largest_step):
+            self._largest_a = self.excitation.largest_rates()
 
     def reset(self) -> None:
         """Put the state at time 0 in place: empty, saturated, or the equilibrium under given lights."""
         initial = self.phosphor.initial
-        self._textures[0].write(np.array(1.0 if initial.state == "saturated" else 0.0))
-        self._anchor, self.shown = 0, self._textures[0]
-        if initial.state == "equilibrium":
-            self.relight(initial.lights)
-            self._run(self._to_equilibrium, FOREVER_S, target=1)
-            self._anchor, self.shown = 1, self._textures[1]
+        self._anchor.write(np.array(1.0 if initial.state == "saturated" else 0.0))
+        if initial.lights:
+            only_last = np.zeros((len(self._lights), 3))
+            only_last[-1, 0] = 1.0
+            self._run(self._to_equilibrium, self._spare, FOREVER_S, only_last)
+            self._anchor, self._spare = self._spare, self._anchor
+        self.shown = self._anchor
 
-    def relight(self, lit: frozenset[str]) -> None:
-        """Take note that from the anchor on just the lights named in `lit` are on."""
-        self._lit = lit
-        # A light that flickers comes back to what is already there; darkness needs no excitation at all,
-        # except where the rates come from a map and every texel is stepped alike.
-        if lit == self._excited or not (lit or not self.step.needs_no_light_in_dark):
-            return
-        self.light.run(self.atlas, lit)
-        self.excitation.run(self.atlas, self.light)
-        self._excited = lit
-
-    def advance(self, dt_s: float) -> None:
-        """Move the anchor on by `dt_s` under constant light.
+    def advance(self, segment: Segment) -> None:
+        """Move the anchor to the end of a segment that begins at it.
 
         Raises:
-            PhoslabError: the solver would overshoot.
+            PhoslabError: the solver does not bear its step.
         """
-        whole, remainder = self._split(dt_s)
-        for _ in range(whole):
-            self._move_anchor(self._stepping.step_s)
-        if remainder:
-            self._move_anchor(remainder)
-        self.shown = self.anchor
+        whole, rest = self._steps(segment)
+        for begin_s, end_s in [*whole, *rest]:
+            self._move_anchor(segment, begin_s, end_s)
+        self.shown = self._anchor
 
-    def show(self, dt_s: float) -> float:
-        """Evaluate the state `dt_s` after the anchor into `shown`.
+    def show(self, segment: Segment) -> float:
+        """Evaluate the state at the end of a segment that begins at the anchor into `shown`.
 
         Returns:
-            By how many seconds the anchor itself has moved: 0 for a solver that spans any length.
+            The anchor's time in s: the segment's start where one step spans it.
         """
-        whole, remainder = self._split(dt_s)
-        for _ in range(whole):
-            self._move_anchor(self._stepping.step_s)
-        if remainder:
-            self._run(self.step, remainder, target=2)
-        self.shown = self._textures[2] if remainder else self.anchor
-        return whole * self._stepping.step_s
+        whole, rest = self._steps(segment)
+        for begin_s, end_s in whole:
+            self._move_anchor(segment, begin_s, end_s)
+        self.shown = self._anchor
+        for begin_s, end_s in rest:
+            self._take(segment, begin_s, end_s, self._picture)
+            self.shown = self._picture
+        return rest[0][0] if rest else segment.end_s
 
-    def _split(self, dt_s: float) -> tuple[int, float]:
-        """Return how many whole steps to take, and the rest in s; check that they are stable."""
-        if SOLVERS[self._stepping.solver].closed_form:
-            return 0, dt_s
+    def _steps(self, segment: Segment) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+        """Return the whole steps that span a segment, and what is left: one (begin_s, end_s) or none."""
+        if self.step.solver.closed_form and segment.constant:
+            return [], [(segment.start_s, segment.end_s)]
         step = self._stepping.step_s
-        kr = float(self.phosphor.optics.kr_per_s.max())
-        largest = kr + (float(self.excitation.largest_rates().max()) if self._lit else 0.0)
-        check_step(self._stepping.solver, largest, min(step, dt_s), repr(self.drawable.drawable.name))
-        whole = int(np.floor(dt_s / step + NEGLIGIBLE_SHARE))
-        rest = dt_s - whole * step
-        return whole, rest if rest > NEGLIGIBLE_SHARE * step else 0.0
+        n = int(np.floor((segment.end_s - segment.start_s) / step + NEGLIGIBLE_SHARE))
+        edges = [segment.start_s + k * step for k in range(n + 1)]
+        if segment.end_s - edges[-1] > NEGLIGIBLE_SHARE * step:
+            return list(pairwise(edges)), [(edges[-1], segment.end_s)]
+        return list(pairwise([*edges[:-1], segment.end_s])), []
 
-    def _move_anchor(self, dt_s: float) -> None:
-        self._run(self.step, dt_s, target=1 - self._anchor)
-        self._anchor = 1 - self._anchor
+    def _move_anchor(self, segment: Segment, begin_s: float, end_s: float) -> None:
+        self._take(segment, begin_s, end_s, self._spare)
+        self._anchor, self._spare = self._spare, self._anchor
 
-    def _run(self, step: PhosphorStep, dt_s: float, target: int) -> None:
-        step.run(
-            self.anchor,
-            self._textures[target],
-            dt_s,
-            self.excitation.excitation,
-            np.array([[1.0 if self._lit else 0.0, 0.0, 0.0]]),
-            atlas_uv=self.atlas.uv,
-        )
+    def _take(self, segment: Segment, begin_s: float, end_s: float, target: StateTexture) -> None:
+        """Take one step from the anchor, if the solver bears it."""
+        solver, drives, dt_s = self.step.solver, segment.drives(begin_s, end_s), end_s - begin_s
+        if np.isfinite(solver.largest_step):
+            strongest = [max(solver.light(drive)) for drive in drives]
+            a = float(strongest @ self._largest_a[: len(drives)])
+            largest = a + float(self.phosphor.optics.kr_per_s.max())
+            check_step(self._stepping.solver, largest, dt_s, repr(self.drawable.drawable.name))
+        self._run(self.step, target, dt_s, solver.course(drives))
+
+    def _run(self, step: PhosphorStep, target: StateTexture, dt_s: float, course: Array) -> None:
+        step.run(self._anchor, target, dt_s, self.excitation.excitation, course, atlas_uv=self.atlas.uv)
 
     def debug_views(self) -> dict[str, Picture]:
         """The sum over the states, bright where full."""

@@ -2,9 +2,9 @@
 
 shadow_map        depth of every light's views            once
 atlas_geometry    what lies under each texel              once, per phosphor
-atlas_irradiance  K-band light on each texel              per change of light, per phosphor
-excitation        a_i of each texel                       per change of light, per phosphor
-phosphor_step     the state at the picture's time         per picture, per phosphor
+atlas_irradiance  K-band light on each texel              once, per phosphor and course of light
+excitation        a_i of each texel                       once, per phosphor and course of light
+phosphor_step     the state at the picture's time         per picture and change of light, or step; per phosphor
 gbuffer           what the camera sees                    once
 direct_light      reflected lamp light                    per picture
 glow              light of the phosphors                  per picture, per phosphor
@@ -13,7 +13,7 @@ resolve           samples to pixels                       per picture
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from phoslab.errors import PhoslabError
@@ -105,7 +105,8 @@ class Renderer:
                     drawable,
                     atlas,
                     AtlasIrradiance(device, self.shadow_map, atlas.size, n_bands),
-                    Excitation(device, drawable.material, atlas.size, n_bands, 1),
+                    n_bands,
+                    self.scene.schedule,
                     self.parameters.stepping,
                 )
             )
@@ -116,6 +117,7 @@ class Renderer:
         self.shadow_map.run()
         for state in self.states:
             state.atlas.run()
+            state.excite()
             state.reset()
         self.gbuffer.run(self.scene.camera)
 
@@ -125,9 +127,9 @@ class Renderer:
         Raises:
             PhoslabError: the solver would overshoot.
         """
-        lit = self.scene.schedule.lit(t_s)
+        factors = self.scene.schedule.factors(t_s)
         self._bring_states_to(t_s)
-        self.direct_light.run(self.gbuffer, self.drawables, lit)
+        self.direct_light.run(self.gbuffer, self.drawables, factors)
         for state in self.states:
             self.glow.run(self.gbuffer, state.drawable, state.shown.value, self.direct_light.radiance)
         self.resolve.run(self.direct_light.radiance)
@@ -137,7 +139,7 @@ class Renderer:
             bands=self.scene.transport,
             radiance=self.resolve.read(),
             warnings=self._warnings(t_s),
-            debug=self._debug_views(),
+            debug=self._debug_views(factors),
         )
 
     def _bring_states_to(self, t_s: float) -> None:
@@ -145,15 +147,13 @@ class Renderer:
             for state in self.states:
                 state.reset()
             self._anchor_s = 0.0
-        moved = 0.0
-        for start, end, lit in self.scene.schedule.segments(self._anchor_s, t_s):
+        for segment in self.scene.schedule.segments(self._anchor_s, t_s):
+            self._anchor_s = segment.end_s
             for state in self.states:
-                state.relight(lit)
-                if end < t_s:
-                    state.advance(end - start)
+                if segment.end_s < t_s:
+                    state.advance(segment)
                 else:
-                    moved = state.show(end - start)
-            self._anchor_s = end if end < t_s else start + moved
+                    self._anchor_s = state.show(segment)
 
     def _warnings(self, t_s: float) -> tuple[str, ...]:
         """What the scene warns of, and every material that is seen beyond what its data support."""
@@ -168,8 +168,11 @@ class Renderer:
                 )
         return tuple(dict.fromkeys(warnings))
 
-    def _debug_views(self) -> dict[str, Picture]:
+    def _debug_views(self, factors: Mapping[str, float]) -> dict[str, Picture]:
         """Return the views of the passes asked for, by `PASS.VIEW`; those of all phosphors in one picture."""
+        if AtlasIrradiance.name in self.parameters.debug:
+            for state in self.states:
+                state.light.run(state.atlas, factors)
         sources: dict[str, Sequence[Pass | PhosphorState]] = {
             ShadowMap.name: [self.shadow_map],
             AtlasGeometry.name: [s.atlas for s in self.states],

@@ -24,8 +24,9 @@ from phoslab.files import inside
 from phoslab.material import Material
 from phoslab.render.geometry import Geometry
 from phoslab.render.gltf import GltfCamera, GltfInstance, GltfLight, GltfModel, load_gltf
+from phoslab.render.light_course import parse_course
 from phoslab.render.optics import Optics, load_optics
-from phoslab.render.schedule import Schedule, parse_stretches
+from phoslab.render.schedule import Schedule
 from phoslab.render.units import Claim, Units, settle_units
 
 Array = NDArray[np.float64]
@@ -239,9 +240,7 @@ class _Loader:
     def _schedule(self) -> Schedule:
         return Schedule(
             {
-                name: parse_stretches(
-                    entry.get("schedule"), file=str(self.file), field=f"lights.{name}.schedule"
-                )
+                name: parse_course(entry, file=str(self.file), field=f"lights.{name}")
                 for name, entry in self.data.get("lights", {}).items()
             }
         )

@@ -1,7 +1,7 @@
-"""When lights are on, and how times are written.
+"""What the lights of a scene do over time, and how times are written.
 
-A schedule is a list of [on_s, off_s) stretches; light is constant between changes, which is what lets the
-phosphor state jump to any time at the cost of the light changes alone.
+Between the jumps of its lights, where every light is constant, a phosphor's state can jump to any time at the cost of
+the light changes alone.
 """
 
 from __future__ import annotations
@@ -13,52 +13,66 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from phoslab.errors import PhoslabError
+from phoslab.render.light_course import NEVER, Course, Segment
 
 _TIME = re.compile(r"^(off)?([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)?s?$")
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """When each light is on.
+    """What each light does.
 
     Args:
-        stretches_s: by the light's name, its ascending [on_s, off_s) stretches; None: always on.
+        courses: by the light's name.
     """
 
-    stretches_s: Mapping[str, tuple[tuple[float, float], ...] | None]
+    courses: Mapping[str, Course]
 
-    def lit(self, t_s: float) -> frozenset[str]:
-        """Return the names of the lights that are on at `t_s`; a light is off at the moment of its off_s."""
-        return frozenset(
-            name
-            for name, stretches in self.stretches_s.items()
-            if stretches is None or any(on <= t_s < off for on, off in stretches)
-        )
+    @property
+    def alike(self) -> dict[Course, frozenset[str]]:
+        """The lights that share a course, by it: their light adds up to one. Without any: one that is never on."""
+        shared: dict[Course, set[str]] = {}
+        for name, course in self.courses.items():
+            shared.setdefault(course, set()).add(name)
+        return {course: frozenset(names) for course, names in shared.items()} or {NEVER: frozenset()}
 
-    def segments(self, start_s: float, end_s: float) -> Iterator[tuple[float, float, frozenset[str]]]:
-        """Yield (from_s, to_s, lights that are on) from `start_s` to `end_s`, light being constant in each."""
-        edges = {t for stretches in self.stretches_s.values() for pair in stretches or () for t in pair}
-        times = [start_s, *sorted(t for t in edges if start_s < t < end_s), end_s]
-        for low, high in itertools.pairwise(times):
+    @property
+    def piecewise_constant(self) -> bool:
+        """Whether every light is constant between its jumps."""
+        return all(course.programme.piecewise_constant for course in self.courses.values())
+
+    def factors(self, t_s: float) -> dict[str, float]:
+        """Return the factor of every light at `t_s`; a light is off at the moment of its off_s."""
+        return {name: course.at(t_s) for name, course in self.courses.items()}
+
+    def segments(self, start_s: float, end_s: float) -> Iterator[Segment]:
+        """Yield the stretches between jumps of the lights from `start_s` to `end_s`."""
+        courses = tuple(self.alike)
+        edges = {t for course in courses for t in course.changes(start_s, end_s)}
+        for low, high in itertools.pairwise([start_s, *sorted(edges), end_s]):
             if high > low:
-                yield low, high, self.lit(low)
+                yield Segment(low, high, courses)
 
     @property
     def off_s(self) -> float | None:
         """When the last light goes off; None where one never does, or there is none."""
-        ends = [math.inf if s is None else s[-1][1] for s in self.stretches_s.values() if s is None or s]
-        return max(ends) if ends and math.isfinite(max(ends)) else None
+        last = max(self._offs(), default=math.inf)
+        return last if math.isfinite(last) else None
 
     def dark_for_s(self, t_s: float) -> float | None:
-        """Return how long no light has been on at `t_s`; None while one is."""
-        if self.lit(t_s):
+        """Return how long no light has been on at `t_s`, whatever its programme; None while one is."""
+        if any(course.on.at(t_s) for course in self.courses.values()):
             return None
-        return t_s - max((b for s in self.stretches_s.values() for _, b in s or () if b <= t_s), default=0.0)
+        return t_s - max((off for off in self._offs() if off <= t_s), default=0.0)
+
+    def _offs(self) -> list[float]:
+        return [off for course in self.courses.values() for _, off in course.on.intervals]
 
     def parse_time(self, text: str, *, field: str = "the time") -> float:
         """Return the seconds that `text` means: `12`, `12.5s`, `off`, `off+80s`, `off-1s`.
 
-        >>> Schedule({"lamp": ((0.0, 60.0),)}).parse_time("off+80s")
+        >>> from phoslab.programmes import Switched
+        >>> Schedule({"lamp": Course(Switched(((0.0, 60.0),)))}).parse_time("off+80s")
         140.0
         """
         match = _TIME.match(text.strip().replace(" ", ""))
@@ -80,26 +94,3 @@ class Schedule:
                 f"{text!r} is before the scene begins at 0", field=field, remedy="Use 0 or later."
             )
         return seconds
-
-
-def parse_stretches(
-    pairs: list[list[float]] | None, *, file: str, field: str
-) -> tuple[tuple[float, float], ...] | None:
-    """Check a schedule as a scene file has it; None stays None (always on).
-
-    Raises:
-        PhoslabError: the stretches overlap, run backwards or start before 0.
-    """
-    if pairs is None:
-        return None
-    last = 0.0
-    for k, (on, off) in enumerate(pairs):
-        if not last <= on < off:
-            raise PhoslabError(
-                f"is [{on:g}, {off:g}], which is out of order",
-                file=file,
-                field=f"{field}[{k}]",
-                remedy="Each pair is [on_s, off_s] with on before off, none before 0, and pairs ascend.",
-            )
-        last = off
-    return tuple((float(on), float(off)) for on, off in pairs)

@@ -7,7 +7,7 @@ moderngl has no depth arrays, and a sheet needs no geometry shader.) Other shade
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -64,7 +64,7 @@ class ShadowMap:
         self._meshes = [
             device.vertex_array(self._program, d.mesh.attributes, d.mesh.indices) for d in drawables
         ]
-        self._light_buffer = device.buffer(pack_lights(lights, self.views, frozenset()))
+        self._light_buffer = device.buffer(pack_lights(lights, self.views, {}))
         self._view_buffer = device.buffer(np.array([c.T for c in clips], dtype=np.float32))
         self._spectra_buffer = device.buffer(pack_spectra(lights, n_bands) if lights else np.zeros(4, "f4"))
 
@@ -87,10 +87,10 @@ class ShadowMap:
                 mesh.render()
         self._device.ctx.enable_only(moderngl.NOTHING)
 
-    def bind(self, shader: moderngl.ComputeShader, lit: frozenset[str], unit: int) -> None:
-        """Give `shader` the lights, of which `lit` are on, and the shadows at texture unit `unit`."""
+    def bind(self, shader: moderngl.ComputeShader, factors: Mapping[str, float], unit: int) -> None:
+        """Give `shader` the lights, each at its factor (0: off), and the shadows at texture unit `unit`."""
         if self._lights:
-            self._light_buffer.write(pack_lights(self._lights, self.views, lit).tobytes())
+            self._light_buffer.write(pack_lights(self._lights, self.views, factors).tobytes())
         self._light_buffer.bind_to_storage_buffer(0)
         self._view_buffer.bind_to_storage_buffer(1)
         self._spectra_buffer.bind_to_storage_buffer(2)

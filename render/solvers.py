@@ -9,7 +9,7 @@ and one line in `SOLVERS`. The new state is from + change: a format that keeps m
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +62,13 @@ class Solver:
         """(n, 3) the quadratic in the share of the step that belongs to each value of `light`: its coefficients."""
         return THROUGH if self.light is throughout else CONSTANT
 
+    def course(self, drives: Sequence[Drive]) -> Array:
+        """Return (n, 3) the coefficients of each scalar drive over the step, as the shader takes them."""
+        return np.array([self.light(drive) for drive in drives]) @ self.basis
+
+
+# The default: the first where every light is constant between its jumps, the second where one is not.
+DEFAULT, DEFAULT_IN_VARYING_LIGHT = "exact", "exact2"
 
 SOLVERS: dict[str, Solver] = {
     "euler": Solver("solver_euler.glsl", at_start, largest_step=EULER_LIMIT),

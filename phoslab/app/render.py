@@ -39,11 +39,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--solver",
-        default="exact",
-        help="exact (default): any stretch of constant light in one step; euler: the paper's steps",
+        help="exact: any stretch of constant light in one step (default); exact2: the same, and the mean light of "
+        "each step where it varies (default in a scene with such a light); euler (the paper's), substep, rk23: "
+        "step by step",
     )
     parser.add_argument(
-        "--step", metavar="S", type=float, default=1 / 60, help="step of euler in s (default 1/60)"
+        "--step", metavar="S", type=float, default=1 / 60, help="length of a step in s (default 1/60)"
+    )
+    parser.add_argument(
+        "--state-format",
+        default="f32",
+        help="what holds the state between light changes: f32 (default), f16, unorm16, f32c (compensated)",
     )
     parser.add_argument("--size", metavar="WxH", help="size of the picture in pixels (default: the scene's)")
     parser.add_argument(
@@ -66,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
             None if args.at is None else [t.strip() for t in args.at.split(",") if t.strip()],
             solver=args.solver,
             step_s=args.step,
+            state_format=args.state_format,
             size=size,
             debug=[name.strip() for name in args.debug.split(",") if name.strip()],
             progress=progress,

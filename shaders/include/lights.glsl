@@ -3,7 +3,7 @@
 struct Light {
     vec4 position_w;  // w: kind
     vec4 direction_w; // w: world size of a shadow texel at depth 1
-    vec4 cone;        // x, y: scale and offset of the cosine (KHR_lights_punctual); z: first view; w: 1 if lit
+    vec4 cone;        // x, y: scale and offset of the cosine (KHR_lights_punctual); z: first view; w: factor, 0 if off
 };
 layout(std430, binding = 0) readonly buffer Lights { Light lights[]; };
 layout(std430, binding = 1) readonly buffer Views { mat4 world_to_clip[]; };
@@ -90,7 +90,7 @@ void gather_irradiance(vec3 p_w, vec3 normal_w, out vec4 E[LAYERS]) {
         vec3 L;
         float factor = attenuation(light, p_w, normal_w, L);
         if (factor <= 0.0) continue;
-        factor *= visibility(light, p_w, normal_w, L);
+        factor *= light.cone.w * visibility(light, p_w, normal_w, L);
         for (int l = 0; l < LAYERS; ++l) E[l] += factor * irradiance_at_1m[i * LAYERS + l];
     }
 }

@@ -21,16 +21,16 @@ RUNS = 20
 STEP_S = 1 / 60
 
 
-def draw(renderer: Renderer, lit: frozenset[str]) -> None:
+def draw(renderer: Renderer) -> None:
     """Draw one frame from nothing but the meshes and the state."""
+    schedule = renderer.scene.schedule
+    step = next(schedule.segments(0.0, STEP_S))
     renderer.shadow_map.run()
     for state in renderer.states:
-        state.light.run(state.atlas, lit)
-        state.excitation.run(state.atlas, state.light)
-        state.relight(lit)
-        state.advance(STEP_S)
+        state.excite()
+        state.advance(step)
     renderer.gbuffer.run(renderer.scene.camera)
-    renderer.direct_light.run(renderer.gbuffer, renderer.drawables, lit)
+    renderer.direct_light.run(renderer.gbuffer, renderer.drawables, schedule.factors(0.0))
     for state in renderer.states:
         renderer.glow.run(renderer.gbuffer, state.drawable, state.shown.value, renderer.direct_light.radiance)
     renderer.resolve.run(renderer.direct_light.radiance)
@@ -43,7 +43,6 @@ def without_phosphors(scene: Scene) -> Scene:
 
 def main(path: str = str(SCENES / "fading")) -> None:
     scene = load_scene(path)
-    lit = scene.schedule.lit(0.0)
     parameters = RenderParameters(scene.size, scene.supersampling)
     with Device() as device:
         with_, without = (Renderer(device, s, parameters) for s in (scene, without_phosphors(scene)))
@@ -52,7 +51,7 @@ def main(path: str = str(SCENES / "fading")) -> None:
             for name, renderer in (("with", with_), ("without", without)):
                 device.ctx.finish()
                 start = time.perf_counter()
-                draw(renderer, lit)
+                draw(renderer)
                 device.ctx.finish()
                 times[name].append(time.perf_counter() - start)
         texels = sum(s.atlas.size[0] * s.atlas.size[1] for s in with_.states)
