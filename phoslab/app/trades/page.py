@@ -66,6 +66,8 @@ def write_trade(
     summary: Sequence[str],
     sections: Sequence[Section],
     data: dict[str, Any],
+    *,
+    gl: str | None = None,
 ) -> list[Path]:
     """Write index.html, the CSV and SVG files, and trade.json, each whole; return their paths, the page first.
 
@@ -73,6 +75,7 @@ def write_trade(
         kind: of the trade ("solver").
         summary: the answer in a few sentences.
         data: costs and errors for the planner.
+        gl: what rendered, where anything was.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -88,7 +91,12 @@ def write_trade(
             written.append(folder / f"{piece.name}.svg")
             write_text(written[-1], f'<?xml version="1.0" encoding="utf-8"?>\n{pictures[piece.name]}')
     written.append(folder / "trade.json")
-    about = {"schema": SCHEMA, "kind": kind, "phoslab": __version__, "machine": machine()}
+    about = {
+        "schema": SCHEMA,
+        "kind": kind,
+        "phoslab": __version__,
+        "machine": machine() | ({"gl": gl} if gl else {}),
+    }
     write_text(written[-1], json.dumps({**about, **data}, indent=1, allow_nan=False) + "\n")
     environment = Environment(
         loader=PackageLoader("phoslab.app.trades", "."),

@@ -24,6 +24,7 @@ from phoslab.solvers import Drive, Step
 
 Array = NDArray[np.float64]
 
+YARDSTICK = solvers.SOLVERS["dop853"]
 KR = np.array([0.132, 0.009])  # the stickers of Nalbach 2017, Table A.1
 EMISSION = np.array([1.0, 4.5])  # their re-radiation functions' ratio, in the strongest band
 CHECKPOINTS = 8
@@ -123,7 +124,7 @@ def measure(problem: Problem, *, repeats: int, patience_s: float) -> list[Point]
         repeats: runs of each setting, of which the median time counts.
         patience_s: a setting whose run takes longer is its method's last.
     """
-    truth = glow(cut_at_changes(problem, step=solvers.SOLVERS["dop853"]))
+    truth = glow(cut_at_changes(problem, step=YARDSTICK))
     points = []
     for method, settings in _methods(problem).items():
         for setting, run in settings:

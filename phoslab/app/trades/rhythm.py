@@ -33,7 +33,7 @@ def measure(n_texels: int = 64) -> Iterator[RhythmError]:
     for problem in precision.problems(n_texels, 1.0):
         if problem.name not in ("switched", "sinusoidal"):
             continue
-        truth = precision.glow(precision.cut_at_changes(problem, step=solvers.SOLVERS["dop853"]))
+        truth = precision.glow(precision.cut_at_changes(problem, step=precision.YARDSTICK))
         for solver in COMPARED:
             for rhythm in ("24 Hz", "60 Hz", "144 Hz", "uneven"):
                 states = _march(problem, solver, rhythm)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from phoslab.app.trades import hours
 from phoslab.app.trades.extremes import Verdict
 from phoslab.app.trades.hours import HoursError
+from phoslab.app.trades.on_gpu import StepCost
 from phoslab.app.trades.page import Plot, Section, Table
 from phoslab.app.trades.precision import EQUAL_ERROR, Measured
 from phoslab.app.trades.previous import PastCost
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 
 # Light that saturates the material, and light too weak to: there the previous method is valid.
 STRONG, WEAK = 1.0, 1e-4
+
+# Lights under which the renderer's own solvers are measured as well.
+DRAWN_ON_GPU = ("switched", "sinusoidal", "mains flicker")
 
 STYLE = {
     "euler": ("C3", "o"),
@@ -116,11 +120,42 @@ def equal_section(measured: Sequence[Measured]) -> Section:
     )
 
 
+def texture_section(costs: Sequence[StepCost], measured: Sequence[Measured]) -> Section:
+    columns = (
+        "solver",
+        "format",
+        "bytes a texel",
+        "ns a texel",
+        "over a copy",
+        "error, switched light, 60 Hz",
+    )
+    rows = [(c.solver, c.state_format, c.bytes_per_texel, c.ns, c.over_copy, c.error) for c in costs]
+    return Section(
+        "What does a step cost on textures?",
+        [
+            "The renderer's solvers in GLSL, on textures of two states in each format: float32, float16, 16-bit "
+            "normalised, and float32 that keeps what its rounding lost (f32c). “Over a copy” is the time of a step "
+            "over that of a pass that reads and writes the same and computes nothing. The error is that of 60 Hz "
+            "steps over 20 s of switched light: 16-bit formats round away what a frame changes.",
+        ],
+        [
+            Table("steps", "One step of 1/60 s.", columns, rows),
+            Plot(
+                "work-precision-textures",
+                "Work and precision in GLSL and float32, on 512 texels or more: mostly the cost of a dispatch.",
+                _grid(measured, columns=len(measured)),
+            ),
+        ],
+    )
+
+
 def rhythm_section(errors: Sequence[RhythmError]) -> Section:
     rhythms = list(dict.fromkeys(e.rhythm for e in errors))
     found = {(e.light, e.solver, e.rhythm): e.error for e in errors}
     pairs = dict.fromkeys((e.light, e.solver) for e in errors)
-    rows = [(light, solver, *(found[light, solver, r] for r in rhythms)) for light, solver in pairs]
+    rows: list[Sequence[str | float]] = [
+        (light, solver, *(found[light, solver, r] for r in rhythms)) for light, solver in pairs
+    ]
     return Section(
         "Does the glow depend on the frame rate?",
         [
@@ -169,7 +204,7 @@ def extremes_section(verdicts: Sequence[Verdict]) -> Section:
             "Every combination of steps of 1e-6 to 1e6 s, irradiances of 0 to 1e12, ke of 0 to 1e3, kr of 0 to 1e6 1/s "
             "and concentrations of 0 to 1, with denormal numbers among them. A solver may refuse a step, and says so; "
             "what it takes must be finite and inside [0, 1]. “Past the equilibrium” counts what overshoots by more "
-            "than the format's rounding.",
+            "than the format's rounding: exact and exact2 promise that none does, rk23 may within its tolerance.",
         ],
         [
             Table(
@@ -207,26 +242,38 @@ def _gain(measured: Measured, rival: str) -> str:
     return "-" if gain is None else f"{'> ' if gain[1] else ''}{gain[0]:.3g}"
 
 
-def _grid(measured: Sequence[Measured]) -> Figure:
-    """Six work-precision diagrams on one sheet."""
+def _grid(measured: Sequence[Measured], columns: int = 3) -> Figure:
+    """Work-precision diagrams on one sheet."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 6.8), layout="constrained")
-    axes = figure.subplots(2, 3, sharey=True).ravel()
+    rows = -(-len(measured) // columns)
+    figure = Figure(figsize=(11, 0.8 + 3 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, sharey=True).ravel()
     for ax, m in zip(axes, measured, strict=True):
         for method, (colour, marker) in STYLE.items():
             points = sorted((p for p in m.points if p.method == method), key=lambda p: p.ns)
             # What agrees with the yardstick to its last digits is drawn at its tolerance.
             errors = [max(p.error, 1e-12) for p in points]
-            ax.plot([p.ns for p in points], errors, color=colour, marker=marker, ms=4, lw=0.9, label=method)
+            if points:
+                ax.plot(
+                    [p.ns for p in points], errors, color=colour, marker=marker, ms=4, lw=0.9, label=method
+                )
         ax.axhline(EQUAL_ERROR, color="0.7", lw=0.8, zorder=0)
         ax.set(xscale="log", yscale="log", title=f"{m.problem.name}: {m.problem.description}")
         ax.title.set_fontsize(9)
         ax.grid(alpha=0.25)
-    for ax in axes[3:]:
+    for ax in axes[-columns:]:
         ax.set_xlabel("time [ns per texel and simulated second]")
-    for ax in axes[::3]:
+    for ax in axes[::columns]:
         ax.set_ylabel("relative error of the glow")
-    handles, labels = axes[1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(STYLE), frameon=False, fontsize=9)
+    shown = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
+    shown |= dict(zip(*reversed(axes[1].get_legend_handles_labels()), strict=True))
+    figure.legend(
+        list(shown.values()),
+        list(shown),
+        loc="outside lower center",
+        ncols=len(STYLE),
+        frameon=False,
+        fontsize=9,
+    )
     return figure
