@@ -91,8 +91,10 @@ class BareState:
         """Take `n` steps, each under the same light; otherwise as `advance`."""
         excitation, course, largest = self._excite(light)
         check_step(self._solver_name, float((largest + self._kr).max()), dt_s, "a texel")
-        for _ in range(n):
-            self._step.run(self._now, self._next, dt_s, excitation, course, atlas_uv=self._texel_uv)
+        newest = self._step.run(
+            self._now, self._next, dt_s, excitation, course, atlas_uv=self._texel_uv, times=n
+        )
+        if newest is not self._now:
             self._now, self._next = self._next, self._now
 
     def copy(self) -> None:

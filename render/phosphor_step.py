@@ -53,8 +53,9 @@ class PhosphorStep:
         course: Array,
         *,
         atlas_uv: moderngl.Texture | None = None,
-    ) -> None:
-        """Write into `target` the state `dt_s` after `r`.
+        times: int = 1,
+    ) -> StateTexture:
+        """Write into `target` the state `dt_s` after `r`; return the one that holds the newest state.
 
         Args:
             r: concentrations.
@@ -63,9 +64,9 @@ class PhosphorStep:
             excitation: a_i in 1/s at factor 1, a layer for each row of `course` or more.
             course: (n_layers, 3) each layer's factor over the step, as `Solver.course` gives it.
             atlas_uv: texture coordinates of the texels; needed where kr is a map.
+            times: how many such steps to take, to and fro between the two (which then have one format).
         """
         shader = self._program(r, target, course)
-        bind_states(shader, r, target)
         if self._is_dark(course):
             assert isinstance(self._kr, np.ndarray)
             stay, move = share_in_dark(self._kr, dt_s)
@@ -80,7 +81,11 @@ class PhosphorStep:
                 atlas_uv.use(3)
                 self._kr.use(4)
                 set_uniforms(shader, atlas_uv=3, kr_map=4)
-        self._device.dispatch(shader, target.value.size, group=GROUP)
+        for _ in range(times):
+            bind_states(shader, r, target)
+            self._device.dispatch(shader, target.value.size, group=GROUP)
+            r, target = target, r
+        return r
 
     def _is_dark(self, course: Array) -> bool:
         return self.needs_no_light_in_dark and not course.any()

@@ -128,7 +128,7 @@ class Renderer:
             PhoslabError: the solver would overshoot.
         """
         factors = self.scene.schedule.factors(t_s)
-        self._bring_states_to(t_s)
+        self.bring_states_to(t_s)
         self.direct_light.run(self.gbuffer, self.drawables, factors)
         for state in self.states:
             self.glow.run(self.gbuffer, state.drawable, state.shown.value, self.direct_light.radiance)
@@ -142,7 +142,8 @@ class Renderer:
             debug=self._debug_views(factors),
         )
 
-    def _bring_states_to(self, t_s: float) -> None:
+    def bring_states_to(self, t_s: float) -> None:
+        """Advance the phosphors, or go back to time 0 and advance, so that each shows its state at `t_s`."""
         if t_s < self._anchor_s:
             for state in self.states:
                 state.reset()

@@ -6,8 +6,8 @@ void store_sum(ivec2 texel, STATE from, STATE change) {
     precise STATE sum = from + change;
     precise STATE added = sum - from;
     precise STATE lost = (from - (sum - added)) + (change - added);
-    // What was kept back may put the sum outside by half a unit in the last place.
+    // What was kept back may put the sum outside [0, 1] by half a unit in the last place.
     STATE inside = clamp(sum, 0.0, 1.0);
     imageStore(r_out, texel, TO_FOUR(inside));
-    imageStore(low_out, texel, TO_FOUR(mix(STATE(0.0), lost, equal(sum, inside))));
+    imageStore(low_out, texel, TO_FOUR(clamp(lost, -inside, 1.0 - inside)));
 }

@@ -13,7 +13,8 @@ STATE slope(STATE x, STATE kr, Drive drive, float dt, float s) {
 void step_state(STATE r, STATE kr, Drive drive, float dt, out STATE from, out STATE change) {
     from = r;
     change = STATE(0.0);
-    float s = 0.0, h = 1.0 / max(stiffness(drive, kr, dt), 1.0);
+    // Half of 1 / k at first: the estimated error goes with (k h)² (1 - k h), and is blind where k h = 1.
+    float s = 0.0, h = 0.5 / max(stiffness(drive, kr, dt), 0.5);
     STATE k1 = slope(r, kr, drive, dt, 0.0);
     for (int part = 0; s < 1.0 && part < MOST_PARTS; ++part) {
         h = min(max(h, SHORTEST), 1.0 - s);
