@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,20 +14,57 @@ from pathlib import Path, PurePosixPath
 from phoslab.errors import PhoslabError
 
 
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Refuse, before any work is done, an output that could not be written afterwards.
+
+    Raises:
+        PhoslabError: it is a folder, a device, a link or anything but a regular file; or its folder, or the
+            nearest one above that exists, cannot be written to.
+    """
+    target = Path(path)
+    try:
+        mode = target.lstat().st_mode if os.path.lexists(target) else None
+        folder = target.parent
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+        usable = folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+        longest = max(len(os.fsencode(part)) for part in target.absolute().parts)
+        if longest > os.pathconf(folder, "PC_NAME_MAX"):
+            raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
+    except (OSError, ValueError) as error:
+        raise PhoslabError(
+            f"cannot be written ({getattr(error, 'strerror', None) or error})",
+            file=target,
+            remedy="Choose another name or folder.",
+        ) from error
+    if mode is not None and not stat.S_ISREG(mode):
+        # A rename would put a plain file in the place of a device or a link, and nobody asks for that.
+        kind = "a folder" if stat.S_ISDIR(mode) else "not a regular file"
+        raise PhoslabError(f"is {kind}", file=target, remedy="Name a file to write.")
+    if not usable:
+        raise PhoslabError(
+            f"cannot be written: {folder} is not a folder that you may write to",
+            file=target,
+            remedy="Choose another folder.",
+        )
+
+
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` on success, delete it on failure.
 
     The rename is atomic, and the content is on disk before it: a reader, or a crash at any
     moment, sees the old file or the whole new one.
+
+    Raises:
+        PhoslabError: the file cannot be written; see also `check_writable`.
     """
     target = Path(path)
-    if target.is_dir():
-        raise PhoslabError("is a folder", file=target, remedy="Name a file to write.")
+    check_writable(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         # The suffix is kept: writers of images choose their format by it.
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
+        handle, name = tempfile.mkstemp(prefix=".phoslab-", suffix=target.suffix, dir=target.parent)
     except OSError as error:
         raise PhoslabError(
             f"cannot be written ({error.strerror})",
@@ -42,12 +81,39 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.replace(target)
     except OSError as error:
         raise PhoslabError(
-            f"could not be written ({error.strerror})",
+            f"could not be written ({error.strerror or error})",
             file=target,
-            remedy="Check the disk and its free space.",
+            remedy="Check the name, the disk and its free space.",
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def read_regular(path: Path, largest_bytes: int, *, remedy: str) -> bytes:
+    """Return a file's content if it is a regular file of at most `largest_bytes`.
+
+    A pipe would block, a device never end, and an absurd size fill the memory.
+
+    Raises:
+        PhoslabError: it is missing, unreadable, of another kind or too large.
+    """
+    try:
+        # O_NONBLOCK: opening a pipe that nobody writes to would wait for ever.
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as stream:
+            status = os.fstat(stream.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                kind = "a folder" if stat.S_ISDIR(status.st_mode) else "not a regular file"
+                raise PhoslabError(f"is {kind}", file=path, remedy=remedy)
+            if status.st_size > largest_bytes:
+                raise PhoslabError(
+                    f"has {status.st_size} bytes, more than the {largest_bytes} that phoslab reads",
+                    file=path,
+                    remedy=remedy,
+                )
+            return stream.read()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise PhoslabError(f"cannot be read ({reason})", file=path, remedy=remedy) from error
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 from phoslab import schemas
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
-from phoslab.files import write_text
+from phoslab.files import read_regular, write_text
 
 Array = NDArray[np.float64]
 
 SCHEMA = "phoslab-material/1"
+
+# The largest material, 4 states in 1024 bands with all its errors, is some 10 MB.
+_LARGEST_BYTES = 1 << 26
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -198,14 +201,12 @@ class Material:
             PhoslabError: it is missing, malformed or of an unknown version.
         """
         file = Path(path)
+        remedy = "Name a material .json file, or a preset (`phoslab presets` lists them)."
+        content = read_regular(file, _LARGEST_BYTES, remedy=remedy)
         try:
-            text = file.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise PhoslabError(
-                f"cannot be read as a material ({getattr(error, 'strerror', None) or 'it is not UTF-8 text'})",
-                file=file,
-                remedy="Name a material .json file, or a preset (`phoslab presets` lists them).",
-            ) from error
+            text = content.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise PhoslabError("is not UTF-8 text", file=file, remedy=remedy) from error
         return replace(cls.from_json(text, file=file), folder=file.parent)
 
 

@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
-from phoslab.files import inside
+from phoslab.files import inside, read_regular
 
 Array = NDArray[np.float64]
 
 # Fine enough for fluorescent lines and camera sensitivities, which are published at 1 to 5 nm.
 STEP_NM = 0.5
+
+_LARGEST_CSV_BYTES = 1 << 24
 
 
 def band_means(spectrum: Callable[[Array], Array], bands: Bands) -> Array:
@@ -135,18 +137,14 @@ def _table(nm: Array, values: Array) -> Callable[[Array], Array]:
 
 
 def _read_csv(path: Path) -> tuple[Array, Array]:
+    remedy = "Give two columns, wavelength in nm and value, separated by a comma."
     try:
-        lines = [
-            line for line in path.read_text(encoding="utf-8").splitlines() if line and line[0] in "0123456789"
-        ]
+        text = read_regular(path, _LARGEST_CSV_BYTES, remedy=remedy).decode("utf-8")
+        lines = [line for line in text.splitlines() if line and line[0] in "0123456789"]
         table = np.array([[float(x) for x in line.split(",")[:2]] for line in lines])
         nm, values = table.T
-    except (OSError, ValueError) as error:
-        raise PhoslabError(
-            f"cannot be read as a spectrum ({error})",
-            file=path,
-            remedy="Give two columns, wavelength in nm and value, separated by a comma.",
-        ) from error
+    except ValueError as error:
+        raise PhoslabError(f"cannot be read as a spectrum ({error})", file=path, remedy=remedy) from error
     if nm.size < 2 or (np.diff(nm) <= 0).any() or not np.isfinite(values).all() or (values < 0).any():
         raise PhoslabError(
             "does not hold ascending wavelengths with values of 0 or more",
