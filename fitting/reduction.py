@@ -19,6 +19,9 @@ REPEATABILITY = 0.005
 # A mean over a region with more saturated pixels than this is too low by more than its noise.
 _SATURATED_SHARE = 1e-3
 
+# A decay whose brightest value is not this many standard deviations of its noise has nothing to fit.
+_VISIBLE = 10.0
+
 
 @dataclass(frozen=True)
 class ReducedDecay:
@@ -96,6 +99,14 @@ def reduce_decay(session: Session, progress: Callable[[int, int], None] | None =
         )
     if lost:
         warnings.append(f"{lost} of {sigma.size} values are saturated and left out.")
+    with np.errstate(invalid="ignore"):
+        seen = float(np.max(signal / sigma))
+    if not seen > _VISIBLE:
+        raise PhoslabError(
+            f"does not glow: its brightest value stands {max(seen, 0.0):.2g} standard deviations above the dark frames",
+            file=session.path,
+            remedy="Charge the sample longer, expose longer, and check that the dark frames are dark.",
+        )
     data = DecayData(
         t_s=np.array([f.start_s - off_s for f in frames]),
         exposure_s=np.array([f.exposure_s for f in frames]),

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 import phoslab
 from phoslab import presets, spectra
-from phoslab.errors import PhoslabError
+from phoslab.errors import PhoslabError, printable
 from phoslab.fitting.decay import MOST_STATES, DecayFit, choose, fit_candidates, fit_decay
 from phoslab.fitting.emission import match_colour, re_radiation
 from phoslab.fitting.holdout import NOISE_ALLOWANCE, HoldOut, hold_out
 from phoslab.fitting.reduction import ReducedDecay, reduce_decay
+from phoslab.kinetics import equilibrium
 from phoslab.material import Material
 from phoslab.session import Session
 
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 # More than noise explains: camera responses and emission spectra agree better than this when they belong together.
 _COLOUR_MISMATCH = 0.05
 _MISFIT = 2.0
+_FEW_DOF = 10
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class FitResult:
         lines = [
             f"Note: {self.assumed}",
             "",
-            f"[[{self.material.name}: decay, {fit.n_states} exponentials]]",
+            f"[[{self.material.name}: decay, {fit.n_states} exponential{'s' if fit.n_states > 1 else ''}]]",
             f"  frames                  {data.t_s.size}, {data.t_s[0]:.3g} s to {data.t_s[-1]:.4g} s after lamp-off",
             f"  values used             {data.n_values} of {data.sigma.size}",
             f"  chi-square / dof        {fit.chi2:.4g} / {fit.dof} = {fit.chi2 / fit.dof:.3g}",
@@ -137,6 +139,7 @@ def fit_session(
             field="camera.sensitivities",
             remedy="Name a camera of colour-science: signal cannot be turned into a spectrum without.",
         )
+    spectra.camera_sensitivities(camera, file=session.path / "session.toml")  # before the work, not after it
     reduced = reduce_decay(session, progress)
     candidates = (
         tuple(fit_candidates(reduced.data)) if states == "auto" else (fit_decay(reduced.data, int(states)),)
@@ -157,7 +160,7 @@ def fit_session(
         assumed += " The session is simulated."
     known = {"kr_per_s": fit.kr_standard_error, "emission": emission_error}
     material = Material(
-        name=name or session.header.sample_name,
+        name=name or printable(session.header.sample_name),
         bands=lender.bands,
         kr_per_s=fit.kr_per_s,
         ke_m2_per_J=np.repeat(lender.ke_m2_per_J[:1], fit.n_states, axis=0),
@@ -176,6 +179,14 @@ def fit_session(
             "simulated": session.header.simulated is not None,
         },
     )
+    if material.reference_irradiance is not None and not np.isnan(material.ke_m2_per_J).any():
+        charged = equilibrium(material, material.reference_irradiance)
+        start = float((charged * fit.amplitude).sum() / fit.amplitude.sum())
+        warnings.append(
+            f"Under the lamp of {preset!r} the states would charge to r = "
+            f"{', '.join(f'{r:.2f}' for r in charged)} and not to 1: rendered after that lamp, the glow starts at "
+            f"{start:.0%} of what was measured."
+        )
     return FitResult(
         material=material,
         fit=fit,
@@ -198,7 +209,18 @@ def _doubts(fit: DecayFit, states: int | str, mismatch: float, preset: str) -> l
     if fit.chi2 > _MISFIT * fit.dof:
         doubts.append(
             f"The model misses the data by more than their noise (chi-square / dof {fit.chi2 / fit.dof:.1f}): this "
-            f"decay is not a sum of {fit.n_states} exponentials. The standard errors are widened by the root of that."
+            f"decay is not a sum of so few exponentials. The standard errors are widened by the root of that."
+        )
+    if fit.dof < _FEW_DOF:
+        doubts.append(
+            f"{fit.dof + fit.n_parameters} values for {fit.n_parameters} parameters are few: the errors "
+            "are themselves uncertain."
+        )
+    lost = fit.kr_standard_error > fit.kr_per_s
+    if lost.any():
+        doubts.append(
+            f"The data do not determine the rate{'s' if lost.sum() > 1 else ''} "
+            f"{', '.join(f'{kr:.2g}' for kr in fit.kr_per_s[lost])} 1/s: the error is as large as the value."
         )
     if mismatch > _COLOUR_MISMATCH:
         doubts.append(

@@ -33,4 +33,13 @@ class PhoslabError(Exception):
         self.field = field
         where = "" if file is None else f"{file}: "
         subject = "" if field is None else f"{field} "
-        super().__init__(f"{where}{subject}{problem}. {remedy}")
+        super().__init__(printable(f"{where}{subject}{problem}. {remedy}"))
+
+
+def printable(text: str) -> str:
+    """Return `text` with control characters written out: a name from a file must not steer the terminal.
+
+    >>> printable(chr(27) + "[2J")  # which would clear the screen
+    '\\\\x1b[2J'
+    """
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)

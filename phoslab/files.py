@@ -140,7 +140,15 @@ def inside(folder: Path, name: str, *, file: Path, field: str) -> Path:
     path = folder
     for part in parts:
         path = path / part
-        if path.is_symlink():
+        try:
+            linked = path.is_symlink()
+        except OSError as error:
+            raise PhoslabError(
+                f"cannot be looked at ({error.strerror})",
+                file=path,
+                remedy="Make its folder readable, or copy it to one that is.",
+            ) from error
+        if linked:
             raise PhoslabError(
                 f"names {name!r}, which is a symbolic link", file=file, field=field, remedy=remedy
             )

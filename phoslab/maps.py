@@ -51,8 +51,8 @@ def load_maps(material: Material) -> dict[str, Map]:
     """
     maps = {}
     for field, name in material.maps.items():
-        file = material.folder or Path()
-        path = inside(file, name, file=file / f"{material.name}.json", field=f"maps.{field}")
+        folder = material.folder or Path()
+        path = inside(folder, name, file=folder, field=f"maps.{field} of {material.name!r}")
         maps[field] = _read(path, np.shape(getattr(material, field)) or (material.bands.n,), field)
     return maps
 

@@ -75,6 +75,8 @@ class Material:
         self._set("ke_upper_limit", (n_c, n_b), unknown_allowed=True)
         self._set("albedo", (n_b,))
         self._set("reference_irradiance", (n_b,))
+        if not self.name.isprintable():
+            raise self._error("name", "holds control characters", "Use letters, digits and signs.")
         if not 1 <= n_c <= 4:
             raise self._error("kr_per_s", f"has {n_c} states", "A material has 1 to 4 states.")
         if self.calibration not in ("relative", "absolute"):

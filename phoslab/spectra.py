@@ -65,8 +65,12 @@ def unit_length(values: Array) -> Array:
 
 
 @cache
-def camera_sensitivities(camera: str) -> tuple[Array, Array]:
+def camera_sensitivities(camera: str, *, file: Path | None = None) -> tuple[Array, Array]:
     """Return (n,) wavelengths in nm and (n, 3) RGB sensitivities of a camera that colour-science knows.
+
+    Args:
+        camera: its name there.
+        file: where the name stood, for the error.
 
     Raises:
         PhoslabError: colour-science has no such camera.
@@ -76,7 +80,10 @@ def camera_sensitivities(camera: str) -> tuple[Array, Array]:
     known = colour.MSDS_CAMERA_SENSITIVITIES
     if camera not in known:
         raise PhoslabError(
-            f"{camera!r} is unknown", field="camera sensitivities", remedy=f"Use one of: {', '.join(known)}."
+            f"{camera!r} is unknown",
+            file=file,
+            field="camera.sensitivities",
+            remedy=f"Use one of: {', '.join(known)}.",
         )
     return np.asarray(known[camera].wavelengths, float), np.asarray(known[camera].values, float)
 

@@ -26,7 +26,7 @@ def materials(draw):
     )
     edges = draw(st.lists(st.floats(100, 2000), min_size=n_b + 1, max_size=n_b + 1, unique=True))
     return Material(
-        name=draw(st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20)),
+        name=draw(st.text(min_size=1, max_size=20).filter(str.isprintable)),
         bands=Bands(np.sort(edges)),
         kr_per_s=np.array(draw(st.lists(numbers, min_size=n_c, max_size=n_c))),
         ke_m2_per_J=np.array(draw(nullable)),
@@ -77,6 +77,7 @@ def green(**changed) -> dict:
         ({"maps": {"colour": "x.exr"}}, "maps"),
         ({"colour": "green"}, "colour"),
         ({"name": ""}, "name"),
+        ({"name": "a\u001b[2J"}, "name holds control characters"),
     ],
 )
 def test_a_malformed_file_is_refused_and_the_field_named(tmp_path, changed, named):

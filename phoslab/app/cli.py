@@ -14,7 +14,7 @@ import sys
 from collections.abc import Sequence
 
 from phoslab import __version__
-from phoslab.errors import PhoslabError
+from phoslab.errors import PhoslabError, printable
 
 COMMANDS = ("demo", "doctor", "fit", "presets", "export", "render", "trade")
 
@@ -44,25 +44,47 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return 0 (done), 1 (failed) or 2 (bad usage)."""
-    args = build_parser().parse_args(arguments)
+    _open_streams()
     try:
+        args = build_parser().parse_args(arguments)
         code: int = args.run(args)
         sys.stdout.flush()
         return code
     except PhoslabError as error:
-        print(f"phoslab: {error}", file=sys.stderr)
+        _say(str(error))
     except KeyboardInterrupt:
-        print("phoslab: interrupted; nothing half-written was left.", file=sys.stderr)
+        _say("interrupted; nothing half-written was left.")
     except BrokenPipeError:
         # The reader of our output has gone (`phoslab presets | head -1`): not an error of ours.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _forget_output()
         return DONE
+    except OSError as error:
+        _say(f"{error.filename or 'output'}: {error.strerror or error}. Check the disk and its permissions.")
+        _forget_output()
     except Exception as error:
         if os.environ.get("PHOSLAB_TRACEBACK"):
             raise
-        print(
-            f"phoslab: internal error: {type(error).__name__}: {error}. "
-            "This is a bug in phoslab: set PHOSLAB_TRACEBACK=1, run again and report what it prints.",
-            file=sys.stderr,
+        _say(
+            f"internal error: {type(error).__name__}: {error}. "
+            "This is a bug in phoslab: set PHOSLAB_TRACEBACK=1, run again and report what it prints."
         )
     return FAILED
+
+
+def _open_streams() -> None:
+    """Make output work where it was closed (`>&-`), or where the locale cannot print a ±."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: PTH123, SIM115  # open until the end
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _say(message: str) -> None:
+    print(printable(f"phoslab: {message}"), file=sys.stderr)
+
+
+def _forget_output() -> None:
+    """What could not be printed cannot be printed at exit either."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

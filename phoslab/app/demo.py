@@ -10,6 +10,12 @@ EXAMPLE = "phoslab demo -o phoslab-demo"
 
 PRESET = "green"
 TIMES = ("off-1s", "off+1s", "off+80s")
+CAPTIONS = ("Lamp on, one second before it goes off", "1 s after", "80 s after")
+SCENE_NOTE = (
+    "The pawn is the material that was fitted here. The others are published single-exponential paints: moon white, "
+    "ball blue, vase pink, star yellow, ring green, cube purple, cone orange, knot red. How bright they are beside "
+    "each other is not known (relative calibration); the pawn's factor lets it start like the green ring."
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -27,9 +33,12 @@ def run(args: argparse.Namespace) -> int:
     from phoslab import render
     from phoslab.app.progress import progress_bar
     from phoslab.app.report import Picture, write_report
+    from phoslab.files import check_writable, replacing
     from phoslab.fitting import fit_session
 
     out: Path = args.output
+    for name in ("report.html", "material.json", "scene/scene.toml"):
+        check_writable(out / name)
     samples = files("phoslab.sample_data")
     with (
         as_file(samples / "sessions" / "green-decay") as session,
@@ -39,21 +48,24 @@ def run(args: argparse.Namespace) -> int:
     result.material.save(out / "material.json")
 
     # The scene names material.json, beside it: in the copy, that is the material just fitted.
+    scene_folder = out / "scene"
     with as_file(samples / "scenes" / "fading") as scene:
-        shutil.copytree(scene, out / "scene", dirs_exist_ok=True)
-    result.material.save(out / "scene" / "material.json")
+        for file in sorted(p for p in scene.rglob("*") if p.is_file() and p.name != "material.json"):
+            with replacing(scene_folder / file.relative_to(scene)) as temporary:
+                shutil.copyfile(file, temporary)
+    result.material.save(scene_folder / "material.json")
     with progress_bar("rendering", quiet=args.json) as progress:
-        frames = render.render(out / "scene", TIMES, progress=progress)
+        frames = render.render(scene_folder, TIMES, progress=progress)
     pictures = frames.write(out / "glow.png")
 
     report = out / "report.html"
-    captions = ("Lamp on, one second before it goes off", "1 s after", "80 s after")
-    write_report(
-        report,
-        result,
-        [Picture(p, c) for p, c in zip(pictures, captions, strict=True)],
-        notes=frames.warnings,
-    )
+    shown = [frames.exposure_of(frame) for frame in frames]
+    captions = [
+        caption if exposure == shown[0] else f"{caption}, shown {exposure / shown[0]:.0f} times brighter"
+        for caption, exposure in zip(CAPTIONS, shown, strict=True)
+    ]
+    notes = [SCENE_NOTE, *frames.warnings]
+    write_report(report, result, [Picture(p, c) for p, c in zip(pictures, captions, strict=True)], notes)
     if args.json:
         print(
             json.dumps(

@@ -126,10 +126,10 @@ def _camera() -> Part:
     from importlib.util import find_spec
 
     if find_spec("gphoto2") is None:
-        return Part("camera", "optional", "gphoto2 is not installed", "pip install 'phoslab[camera]'")
+        return Part("camera", "optional", "gphoto2 is not installed", "pip install gphoto2")
     answer, problem = _probe(_CAMERA_PROBE)
     if problem:
-        return Part("camera", "optional", problem, "pip install --force-reinstall 'phoslab[camera]'")
+        return Part("camera", "optional", problem, "pip install --force-reinstall gphoto2")
     cameras = answer["cameras"]
     if not cameras:
         remedy = "connect it by USB, switch it on, and close every other program that uses it"
@@ -170,7 +170,7 @@ def _reference() -> Part:
     from importlib.util import find_spec
 
     if find_spec("mitsuba") is None:
-        remedy = "pip install 'phoslab[reference]'"
+        remedy = "pip install mitsuba"
         return Part("reference", "optional", "the path tracer mitsuba is not installed", remedy)
     return Part("reference", "ok", f"mitsuba {version('mitsuba')}")
 

@@ -22,10 +22,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from phoslab import presets
+    from phoslab.errors import PhoslabError
     from phoslab.files import write_text
     from phoslab.material import Material
 
     known = args.material in presets.names()
+    if not known and args.output.resolve() == Path(args.material).resolve():
+        raise PhoslabError("is the material itself", file=args.output, remedy="Name another file to write.")
     material = presets.preset(args.material) if known else Material.load(args.material)
     write_text(args.output, FORMATS[args.to](material))
     print(args.output)

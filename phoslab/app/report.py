@@ -78,11 +78,13 @@ def _states(result: FitResult) -> list[dict[str, Any]]:
 
 
 def _value(value: float, error: float) -> str:
-    """Write a value to the second digit of its error: `0.1320 ± 0.0011`."""
+    """Write a value to the second digit of its error, in thousands where it is large: `176.2 ± 4.9 thousand`."""
     if not np.isfinite(error) or error <= 0:
         return f"{value:.4g} (not determined)"
-    decimals = max(0, 1 - int(np.floor(np.log10(error))))
-    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
+    thousands = " thousand" if abs(value) >= 1e5 else ""
+    scale = 1e3 if thousands else 1.0
+    decimals = max(0, 1 - int(np.floor(np.log10(error / scale))))
+    return f"{value / scale:.{decimals}f} ± {error / scale:.{decimals}f}{thousands}"
 
 
 def _decay_figure(result: FitResult) -> Figure:
@@ -109,7 +111,7 @@ def _decay_figure(result: FitResult) -> Figure:
         )
         upper.plot(t, curve[:, c], color=colour, lw=1)
         miss = 100 * (data.signal[used, c] / predicted[used, c] - 1)
-        spread = 100 * data.total_sigma[used, c] / predicted[used, c]
+        spread = 100 * data.total_sigma[used, c] / np.abs(predicted[used, c])
         lower.errorbar(middle[used], miss, spread, fmt="o", ms=3, lw=0.8, color=colour)
     upper.set_yscale("log")
     upper.set_ylabel("signal [DN/s at ISO 100, f/1]")

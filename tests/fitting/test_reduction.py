@@ -79,3 +79,21 @@ def test_darkness_is_not_taken_for_a_sample(tmp_path, monkeypatch):
     monkeypatch.setattr(Bench, "move_door", lambda bench, to_open: bench.clock.now_s)
     with pytest.raises(PhoslabError, match="no sample that stands out"):
         reduce_decay(recorded(tmp_path / "s"))
+
+
+def test_a_sample_that_is_as_bright_in_its_darks_is_refused(tmp_path, monkeypatch):
+    """The lens was not covered: whatever glows, the frames less their darks are noise."""
+
+    def wait_without_fading(bench, duration_s):
+        bench.clock.now_s += duration_s
+        return 0.0076 * duration_s  # about what it gives just after the lamp
+
+    monkeypatch.setattr(Bench, "wait", wait_without_fading)
+
+    def leave_open(bench, to_open):
+        bench.door_open = True
+        return bench.clock.now_s
+
+    monkeypatch.setattr(Bench, "move_door", leave_open)
+    with pytest.raises(PhoslabError, match="does not glow: its brightest value stands"):
+        reduce_decay(recorded(tmp_path / "s"))

@@ -78,10 +78,17 @@ def test_the_file_names_the_session_by_its_hash(green_fit, green_decay):
     assert json.loads(back.to_json())["valid_s"][1] == pytest.approx(182.6)
 
 
+def test_the_report_says_how_far_the_material_is_from_its_own_measurement(green_fit):
+    m, fit = green_fit.material, green_fit.fit
+    charged = phoslab.kinetics.equilibrium(m, m.reference_irradiance)
+    start = (charged * fit.amplitude).sum() / fit.amplitude.sum()
+    assert any(f"starts at {start:.0%}" in w for w in green_fit.warnings)
+
+
 def test_fewer_states_are_reported_as_a_misfit(green_decay):
     result = fit_session([green_decay], preset="green", states=1)
     assert result.fit.n_states == 1
-    assert any("not a sum of 1 exponentials" in w for w in result.warnings)
+    assert any("not a sum of so few exponentials" in w for w in result.warnings)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,99 @@
+"""What `phoslab fit`, `export` and the command line itself refuse, and how."""
+
+import os
+import subprocess
+import sys
+from importlib.resources import as_file, files
+
+import pytest
+
+from phoslab.app import cli
+
+
+@pytest.fixture(scope="module")
+def session():
+    with as_file(files("phoslab.sample_data") / "sessions" / "green-decay") as folder:
+        yield folder
+
+
+def test_fit_never_writes_in_the_session(session, capsys):
+    before = (session / "session.toml").read_bytes()
+    assert cli.main(["fit", str(session), "--preset", "green", "-o", str(session / "session.toml")]) == 1
+    assert "lies in the session" in capsys.readouterr().err
+    assert (session / "session.toml").read_bytes() == before
+
+
+def test_two_outputs_in_one_file_are_refused_before_the_work(session, tmp_path, capsys):
+    out = str(tmp_path / "x.json")
+    assert cli.main(["fit", str(session), "--preset", "green", "-o", out, "--report", out]) == 1
+    assert "named twice" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_that_is_a_folder_is_refused_before_the_work(session, tmp_path, capsys):
+    arguments = ["fit", str(session), "--preset", "green", "-o", str(tmp_path / "m.json")]
+    assert cli.main([*arguments, "--report", str(tmp_path)]) == 1
+    assert "is a folder" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_export_does_not_overwrite_the_material(tmp_path, capsys):
+    from phoslab import preset
+
+    file = tmp_path / "m.json"
+    preset("green").save(file)
+    before = file.read_text()
+    assert cli.main(["export", str(file), "--to", "csv", "-o", str(file)]) == 1
+    assert "is the material itself" in capsys.readouterr().err
+    assert file.read_text() == before
+
+
+def test_an_unknown_preset_is_bad_usage(session, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["fit", str(session), "--preset", "nope", "-o", str(tmp_path / "m.json")])
+    assert stopped.value.code == cli.BAD_USAGE
+    assert "green" in capsys.readouterr().err
+
+
+def phoslab(*arguments: str, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "phoslab", *arguments], text=True, timeout=120, check=False, **options
+    )
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full on this system")  # noqa: PTH110
+def test_a_full_disk_behind_stdout_is_one_sentence():
+    with open("/dev/full", "w") as full:  # noqa: PTH123
+        done = phoslab("presets", stdout=full, stderr=subprocess.PIPE)
+    assert done.returncode == 1
+    assert "No space left" in done.stderr
+    assert "internal error" not in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_closed_streams_are_no_bug():
+    done = subprocess.run(
+        f"{sys.executable} -m phoslab presets >&-",
+        shell=True,
+        stderr=subprocess.PIPE,
+        timeout=120,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_a_locale_without_the_sign_prints_all_the_same(session, tmp_path):
+    done = phoslab(
+        *("fit", str(session), "--preset", "green", "-o", str(tmp_path / "m.json")),
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+    )
+    assert done.returncode == 0
+    assert "\\xb1" in done.stdout
+
+
+def test_a_name_does_not_steer_the_terminal(tmp_path, capsys):
+    assert (
+        cli.main(["export", str(tmp_path / "a\x1b[2Jb"), "--to", "csv", "-o", str(tmp_path / "o.csv")]) == 1
+    )
+    assert "\x1b" not in capsys.readouterr().err
