@@ -81,7 +81,7 @@ def _value(value: float, error: float) -> str:
     """Write a value to the second digit of its error, in thousands where it is large: `176.2 ± 4.9 thousand`."""
     if not np.isfinite(error) or error <= 0:
         return f"{value:.4g} (not determined)"
-    thousands = " thousand" if abs(value) >= 1e5 else ""
+    thousands = " thousand" if abs(value) >= 1e4 else ""
     scale = 1e3 if thousands else 1.0
     decimals = max(0, 1 - int(np.floor(np.log10(error / scale))))
     return f"{value / scale:.{decimals}f} ± {error / scale:.{decimals}f}{thousands}"
