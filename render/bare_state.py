@@ -54,7 +54,8 @@ class BareState:
         first, rates = _checked(a, "a"), _checked(kr, "kr")
         h, w, self.n_states = first.shape
         self.size = (w, h)
-        self._kr, self._first = rates, first
+        self._kr = rates
+        self._largest_a = self._largest(first)
         kr_map = (
             None
             if rates.ndim == 1
@@ -115,14 +116,19 @@ class BareState:
         return self._device.texture_array(self.size, len(self.solver.basis), components=self.n_states)
 
     def _excite(self, light: Drive) -> tuple[moderngl.TextureArray, Array, Array]:
-        """Return the excitation, its course over the step, and (h, w, n_c) what a does not exceed."""
+        """Return the excitation, its course over the step, and what a does not exceed, of the shape of kr."""
         values = np.array([_checked(value, "light") for value in self.solver.light(light)])
         if values.ndim == 1:
-            return self._a, values[None] @ self.solver.basis, self._first * values.max()
+            return self._a, values[None] @ self.solver.basis, self._largest_a * values.max()
         texels = np.zeros((len(values), self.size[1], self.size[0], self._own_a.components), dtype=np.float32)
         texels[..., : self.n_states] = values
         self._own_a.write(texels.tobytes())
-        return self._own_a, self.solver.basis, values.max(axis=0)
+        return self._own_a, self.solver.basis, self._largest(values.max(axis=0))
+
+    def _largest(self, a: Array) -> Array:
+        """Return (n_c,) the largest over the texels; or all, where every texel has rates of its own to add."""
+        largest: Array = a.max(axis=(0, 1)) if self._kr.ndim == 1 else a
+        return largest
 
 
 def _checked(values: ArrayLike, field: str) -> Array:
