@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     pictures = frames.write(out / "glow.png")
 
     report = out / "report.html"
-    shown = [frames.exposure_of(frame) for frame in frames]
+    shown = [frames.exposure_of(frame) for frame in frames.frames]
     captions = [
         caption if exposure == shown[0] else f"{caption}, shown {exposure / shown[0]:.0f} times brighter"
         for caption, exposure in zip(CAPTIONS, shown, strict=True)

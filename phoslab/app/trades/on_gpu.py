@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise, product
 
 import numpy as np
@@ -55,7 +56,7 @@ def costs(device: Device, side: int, repeats: int) -> Iterator[StepCost]:
     for solver, state_format in product(SOLVERS, FORMATS):
         with device.scope():
             state = BareState(device, KR, a, solver, state_format, 0.5)
-            stepped, copied = _in_turns(device, (lambda s=state: s.advance(1 / 60), state.copy), repeats)
+            stepped, copied = _in_turns(device, (partial(state.advance, 1 / 60), state.copy), repeats)
         with device.scope():
             states = _march(
                 device, switched, solver, state_format, n=150

@@ -11,6 +11,8 @@ from phoslab.app.trades import extremes, hours, on_gpu, precision, previous, rhy
 from phoslab.app.trades.page import write_trade
 from phoslab.app.trades.precision import Measured
 from phoslab.render.device import Device
+from phoslab.render.solvers import SOLVERS
+from phoslab.render.state_formats import FORMATS
 
 Progress = Callable[[int, int], None]
 
@@ -32,8 +34,8 @@ def measure(folder: Path, *, quick: bool, progress: Progress) -> tuple[list[str]
         in_formats = list(on_gpu.over_hours(device, 0.02 if quick else 1.0))
         formats = [
             extremes.judge(name, f, on_gpu.in_texture(device, f), on_gpu.RESOLUTION[f])
-            for f in on_gpu.FORMATS
-            for name in on_gpu.SOLVERS
+            for f in FORMATS
+            for name in SOLVERS
         ]
         renderer = device.renderer
 
@@ -45,7 +47,7 @@ def measure(folder: Path, *, quick: bool, progress: Progress) -> tuple[list[str]
             (np.float64, "float64", 2.0**-52),
             (np.float32, "float32", 2.0**-23),
         )
-        for name in on_gpu.SOLVERS
+        for name in SOLVERS
     ] + formats
     slow = in_formats + [e for h in ((1.0,) if quick else (1.0, 24.0)) for e in hours.naive_float32(h)]
     sections = [
