@@ -18,6 +18,7 @@ from phoslab.render.phosphor_state import Stepping
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.render.scene import Scene as Scene
 from phoslab.render.scene import load_scene as load_scene
+from phoslab.render.schedule import check_time
 from phoslab.render.solvers import DEFAULT, DEFAULT_IN_VARYING_LIGHT, find_solver
 from phoslab.render.state_formats import find_format
 
@@ -65,7 +66,10 @@ def render(
     if not 0 < step_s < float("inf"):
         raise PhoslabError(f"is {step_s:g}", field="the step", remedy="Give a positive number of seconds.")
     labels = [t if isinstance(t, str) else f"{t:g}" for t in (scene.times if times is None else times)]
-    moments = [scene.schedule.parse_time(t) if isinstance(t, str) else float(t) for t in times or labels]
+    moments = [
+        scene.schedule.parse_time(t) if isinstance(t, str) else check_time(float(t), f"{t:g}")
+        for t in times or labels
+    ]
     parameters = RenderParameters(
         size=size or scene.size,
         supersampling=supersampling or scene.supersampling,

@@ -18,14 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.render.geometry import Geometry, build
-from phoslab.render.gltf_accessors import REMEDY, Buffers
+from phoslab.files import read_regular
+from phoslab.render.geometry import Geometry, bounds, build
+from phoslab.render.gltf_accessors import LARGEST_BYTES, REMEDY, Buffers
 
 Matrix = NDArray[np.float64]
 
 SUPPORTED_EXTENSIONS = {"KHR_lights_punctual", "KHR_materials_unlit", "KHR_mesh_quantization"}
 MAX_DEPTH = 256  # of the node hierarchy; a deeper one is a cycle or an attack
 MAX_IMAGE_PIXELS = 1 << 26
+
+# In m: farther from the origin, float32 loses the squares of distances; smaller, their inverses.
+FARTHEST_M, SMALLEST_SCALE = 1e9, 1e-9
+# The volume of a node's axes, each brought to length 1: below this they lie in a plane.
+FLATTEST = 1e-9
+NARROWEST_RAD = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +92,8 @@ def load_gltf(file: Path) -> GltfModel:
         PhoslabError: the file is missing, malformed or asks for an extension that is not supported.
     """
     try:
-        return _Reader(file).read()
+        with np.errstate(all="ignore"):  # what overflows is found by the checks that everything passes
+            return _Reader(file).read()
     except PhoslabError:
         raise
     except Exception as error:  # a malformed file can break the parser, or us, in any way
@@ -98,13 +106,12 @@ class _Reader:
     def __init__(self, file: Path) -> None:
         import pygltflib
 
-        if not file.is_file():
-            raise PhoslabError("is missing", file=file, remedy="Put the glTF file there, or name another.")
+        content = read_regular(file, LARGEST_BYTES, remedy="Put the glTF file there, or name another.")
         with warnings.catch_warnings(action="ignore"):  # what is wrong with a file is ours to say
             if file.suffix == ".glb":
-                self.document = pygltflib.GLTF2.load_from_bytes(file.read_bytes())
+                self.document = pygltflib.GLTF2.load_from_bytes(content)
             else:
-                self.document = pygltflib.GLTF2.gltf_from_json(file.read_text(encoding="utf-8"))
+                self.document = pygltflib.GLTF2.gltf_from_json(content.decode("utf-8"))
         self.file = file
         if self.document is None:
             raise PhoslabError("is not a glTF 2.0 file", file=file, remedy=REMEDY)
@@ -132,6 +139,8 @@ class _Reader:
         cameras: list[GltfCamera] = []
         for node, to_world in self._walk():
             name = str(node.name or "")
+            if node.mesh is not None or node.camera is not None or node.extensions:
+                self._check_placed(name, to_world)
             if node.mesh is not None:
                 instances += self._instances(node, name, to_world)
             if node.camera is not None:
@@ -154,7 +163,8 @@ class _Reader:
         """Yield every node of the scene with its transformation to world space."""
         nodes = self.document.nodes
         if self.document.scenes:
-            roots = self.document.scenes[self.document.scene or 0].nodes or []
+            chosen = self.document.scene
+            roots = self.buffers.pick("scenes", 0 if chosen is None else chosen).nodes or []
         else:
             children = {c for n in nodes for c in n.children or []}
             roots = [i for i in range(len(nodes)) if i not in children]
@@ -162,21 +172,39 @@ class _Reader:
         visited = set()
         while stack:
             index, parent, depth = stack.pop()
-            if depth > MAX_DEPTH or index in visited or index < 0:
+            node = self.buffers.pick("nodes", index)
+            if depth > MAX_DEPTH or index in visited:
                 raise self.buffers.error(f"nodes[{index}]", "is part of a hierarchy that is not a tree")
             visited.add(index)
-            to_world = parent @ _local(nodes[index])
+            to_world = parent @ _local(node)
             if not np.isfinite(to_world).all():
                 raise self.buffers.error(f"nodes[{index}]", "has a transformation that is not finite")
-            yield nodes[index], to_world
-            stack += [(c, to_world, depth + 1) for c in reversed(nodes[index].children or [])]
+            yield node, to_world
+            stack += [(c, to_world, depth + 1) for c in reversed(node.children or [])]
+
+    def _check_placed(self, name: str, to_world: Matrix) -> None:
+        """Refuse a place that is too far away, too small, too large or flat for float32."""
+        axes = to_world[:3, :3]
+        scale = np.linalg.norm(axes, axis=0)
+        where = f"node {name!r}"
+        if (np.abs(to_world[:3, 3]) > FARTHEST_M).any() or scale.max() > FARTHEST_M:
+            raise self.buffers.error(
+                where, f"lies or reaches farther than {FARTHEST_M:g} m", "Move it nearer, or scale it down."
+            )
+        if scale.min() < SMALLEST_SCALE or abs(np.linalg.det(axes / scale)) < FLATTEST:
+            raise self.buffers.error(where, "is scaled to nothing", "Give it a scale that is not 0.")
+        if (to_world[3] != (0.0, 0.0, 0.0, 1.0)).any():
+            raise self.buffers.error(where, "has a matrix whose last row is not 0 0 0 1")
 
     def _instances(self, node: Any, name: str, to_world: Matrix) -> list[GltfInstance]:
-        if abs(np.linalg.det(to_world[:3, :3])) < 1e-30:
-            raise self.buffers.error(
-                f"node {name!r}", "is scaled to nothing", "Give it a scale that is not 0."
-            )
-        mesh = self.document.meshes[node.mesh]
+        mesh = self.buffers.pick("meshes", node.mesh)
+        for p in range(len(mesh.primitives)):
+            if (np.abs(bounds(self._geometry(node.mesh, p), to_world)) > FARTHEST_M).any():
+                raise self.buffers.error(
+                    f"node {name!r}",
+                    f"reaches farther than {FARTHEST_M:g} m",
+                    "Move it nearer, or scale it down.",
+                )
         return [
             GltfInstance(
                 node=name,
@@ -249,7 +277,7 @@ class _Reader:
         if index not in self._colours:
             factor, texture = np.ones(3), None
             if index is not None:
-                pbr = self.document.materials[index].pbrMetallicRoughness
+                pbr = self.buffers.pick("materials", index).pbrMetallicRoughness
                 if pbr is not None:
                     factor = np.array(pbr.baseColorFactor or [1.0] * 4, dtype=np.float64)[:3]
                     texture = pbr.baseColorTexture
@@ -257,7 +285,7 @@ class _Reader:
                 raise self.buffers.error(f"materials[{index}]", "has a base colour outside 0..1")
             colour = factor[None, None, :]
             if texture is not None:
-                colour = colour * self._image(self.document.textures[texture.index].source)
+                colour = colour * self._image(self.buffers.pick("textures", texture.index).source)
             self._colours[index] = colour.astype(np.float32)
         return self._colours[index]
 
@@ -282,12 +310,17 @@ class _Reader:
         return linear
 
     def _camera(self, index: int, name: str, to_world: Matrix) -> list[GltfCamera]:
-        camera = self.document.cameras[index]
+        camera = self.buffers.pick("cameras", index)
         if camera.perspective is None:
             return []
         yfov, near = float(camera.perspective.yfov), float(camera.perspective.znear)
-        if not (0 < yfov < np.pi and 0 < near < np.inf):
-            raise self.buffers.error(f"cameras[{index}]", "has no valid field of view or near plane")
+        if not (NARROWEST_RAD <= yfov < np.pi and SMALLEST_SCALE <= near <= FARTHEST_M):
+            raise self.buffers.error(
+                f"cameras[{index}]",
+                "has no valid field of view or near plane",
+                f"Give a yfov from {NARROWEST_RAD:g} to below pi, and a znear from {SMALLEST_SCALE:g} "
+                f"to {FARTHEST_M:g} m.",
+            )
         rotation = to_world[:3, :3] / np.linalg.norm(to_world[:3, :3], axis=0)
         rigid = np.eye(4)
         rigid[:3, :3], rigid[:3, 3] = rotation, to_world[:3, 3]
@@ -295,7 +328,8 @@ class _Reader:
         return [GltfCamera(name or str(camera.name or ""), world_to_view, yfov, near)]
 
     def _light(self, index: int, name: str, to_world: Matrix) -> GltfLight:
-        light = self.document.extensions["KHR_lights_punctual"]["lights"][index]
+        lights = self.document.extensions["KHR_lights_punctual"]["lights"]
+        light = self.buffers.pick("KHR_lights_punctual.lights", index, lights)
         kind, spot = light["type"], light.get("spot", {})
         inner, outer = float(spot.get("innerConeAngle", 0.0)), float(spot.get("outerConeAngle", np.pi / 4))
         if kind not in ("directional", "point", "spot") or not 0 <= inner < outer <= np.pi / 2:

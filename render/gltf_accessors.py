@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.files import inside
+from phoslab.files import inside, read_regular
 
 COMPONENT = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+LARGEST_BYTES = 1 << 30  # of a glTF file, a buffer or an image
 
 REMEDY = "Export the file again, as glTF 2.0."
 
@@ -39,15 +41,15 @@ class Buffers:
 
     def read_accessor(self, index: int) -> NDArray[Any]:
         """Return (count, width) the values of an accessor: integers as they are, normalised ones as float32."""
-        accessor = self.document.accessors[index]
+        accessor = self.pick("accessors", index)
         where = f"accessors[{index}]"
+        if accessor.componentType not in COMPONENT or accessor.type not in WIDTH:
+            raise self.error(where, "has an unknown type")
         dtype, width = COMPONENT[accessor.componentType], WIDTH[accessor.type]
         count = accessor.count
-        if not isinstance(count, int) or count < 0:
-            raise self.error(where, "has no valid count")
         if accessor.bufferView is None:
             # Only sparse values: the rest is 0. The count is bounded by what a file of this size could mean.
-            if accessor.sparse is None or count > 1 << 24:
+            if accessor.sparse is None or not (isinstance(count, int) and 0 <= count <= 1 << 24):
                 raise self.error(where, "has no buffer view")
             values = np.zeros((count, width), dtype=dtype)
         else:
@@ -60,15 +62,26 @@ class Buffers:
 
     def read_image(self, index: int) -> bytes:
         """Return the encoded bytes of an image."""
-        image = self.document.images[index]
+        image = self.pick("images", index)
         if image.bufferView is not None:
-            view = self.document.bufferViews[image.bufferView]
+            view = self.pick("bufferViews", image.bufferView)
             start = view.byteOffset or 0
             data = self._buffer(view.buffer)
             if start < 0 or view.byteLength < 0 or start + view.byteLength > len(data):
                 raise self.error(f"images[{index}]", "reaches beyond its buffer")
             return data[start : start + view.byteLength]
         return self._uri(image.uri, f"images[{index}].uri")
+
+    def pick(self, table: str, index: Any, items: Any = None) -> Any:
+        """Return the element `index` of the document's `table`, or of `items`: every index goes through here.
+
+        Raises:
+            PhoslabError: it is no index, or of nothing. (Python would count a negative one from the end.)
+        """
+        items = getattr(self.document, table) if items is None else items
+        if type(index) is not int or not 0 <= index < len(items or ()):
+            raise self.error(f"{table}[{index!r}]", "does not exist, but something refers to it")
+        return items[index]
 
     def error(self, where: str, problem: str, remedy: str = REMEDY) -> PhoslabError:
         """Make the error that names this file and a place in it."""
@@ -77,8 +90,10 @@ class Buffers:
     def _strided(
         self, view_index: int, offset: int, count: int, dtype: str, width: int, where: str
     ) -> NDArray[Any]:
-        view = self.document.bufferViews[view_index]
+        view = self.pick("bufferViews", view_index)
         data = self._buffer(view.buffer)
+        if type(count) is not int or count < 0:
+            raise self.error(where, "has no valid count")
         item = np.dtype(dtype).itemsize * width
         stride = view.byteStride or item
         start = (view.byteOffset or 0) + offset
@@ -104,7 +119,7 @@ class Buffers:
 
     def _buffer(self, index: int) -> bytes:
         if index not in self._loaded:
-            buffer = self.document.buffers[index]
+            buffer = self.pick("buffers", index)
             if buffer.uri is None:
                 data = self.document.binary_blob()
                 if data is None:
@@ -123,11 +138,6 @@ class Buffers:
                 raise self.error(where, "is a data URI that is not base64")
             return base64.b64decode(body, validate=True)
         path = inside(self.file.parent, unquote(uri), file=self.file, field=where)
-        try:
-            return path.read_bytes()
-        except OSError as error:
-            raise self.error(
-                where,
-                f"names {uri!r}, which cannot be read ({error.strerror})",
-                "Put that file beside the glTF file.",
-            ) from error
+        return read_regular(
+            path, LARGEST_BYTES, remedy=f"{self.file.name} names it in {where}: put that file beside it."
+        )

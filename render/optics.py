@@ -13,14 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phoslab.bands import Bands, rebin
+from phoslab.errors import PhoslabError
 from phoslab.maps import load_maps
 from phoslab.material import Material
 
 Array = NDArray[np.float64]
 Texels = NDArray[np.float32]
 
-# A rate that is not 0 and decays nothing, so that a / (a + kr) is defined without a test on every texel.
-SLOWEST_PER_S = 1e-37
+# What the shaders' float32 holds with all products of it: beyond, a picture would be of infinities.
+LARGEST_KR_PER_S = 1e6
+LARGEST_KE_M2_PER_J = 1e3
+LARGEST_PRODUCT = 1e15
 
 
 def layer_count(n_bands: int) -> int:
@@ -75,7 +78,7 @@ def load_optics(
         radiance_factor: the scene's radiance units in one of the material's.
 
     Raises:
-        PhoslabError: a map is missing or malformed.
+        PhoslabError: a map is missing or malformed, or a value is beyond what float32 holds in all products.
     """
     maps = load_maps(material)
 
@@ -90,6 +93,15 @@ def load_optics(
     assert kr is not None
     assert ke is not None
     assert emission is not None
+    for name, values, largest in (
+        ("kr_per_s", kr, LARGEST_KR_PER_S),
+        ("ke_m2_per_J", ke, LARGEST_KE_M2_PER_J),
+    ):
+        _check_range(name, values, largest, "Use a unit in which it is smaller.")
+    _check_range("ke_m2_per_J", ke, LARGEST_PRODUCT / irradiance_factor, "Lower irradiance_factor.")
+    _check_range(
+        "emission", emission, LARGEST_PRODUCT / radiance_factor, "Lower radiance_factor, or emission."
+    )
     # A band that was never measured has no light in it: the scene's loader has checked that.
     ke_bands = rebin(np.nan_to_num(ke), material.bands, transport)
     return Optics(
@@ -99,3 +111,12 @@ def load_optics(
         albedo=None if albedo is None else rebin(albedo, material.bands, transport),
         n_states=material.n_states,
     )
+
+
+def _check_range(name: str, values: Array, largest: float, remedy: str) -> None:
+    """Refuse a field with a value above `largest`; NaN, what was never measured, is none."""
+    top = float(np.max(values, initial=0.0, where=~np.isnan(values)))
+    if top > largest:
+        raise PhoslabError(
+            f"reaches {top:.3g}, and the renderer holds {largest:.3g} here", field=name, remedy=remedy
+        )

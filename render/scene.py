@@ -20,7 +20,7 @@ from phoslab import bands as spectral
 from phoslab import colorimetry, kinetics, presets, schemas, spectra
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
-from phoslab.files import inside
+from phoslab.files import inside, read_regular
 from phoslab.material import Material
 from phoslab.render.geometry import Geometry
 from phoslab.render.gltf import GltfCamera, GltfInstance, GltfLight, GltfModel, load_gltf
@@ -32,6 +32,12 @@ from phoslab.render.units import Claim, Units, settle_units
 Array = NDArray[np.float64]
 
 SCHEMA = "phoslab-scene/1"
+
+# Far above what anybody writes by hand.
+_LARGEST_BYTES = 1 << 24
+
+# Per nm: what is left of float32's range is for products with it, and for points that are nearer than 1 m.
+LARGEST_IRRADIANCE = 1e15
 
 # A share of light or glow that falls outside the bands and is not worth a word.
 NEGLIGIBLE = 1e-3
@@ -123,6 +129,17 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     """
     file = Path(path)
     file = file / "scene.toml" if file.is_dir() else file
+    try:
+        return _load(file)
+    except RecursionError:
+        raise PhoslabError(
+            "holds tables or lists that are nested beyond reason",
+            file=file,
+            remedy="Write the scene in plain tables, as docs/formats-scene.md shows.",
+        ) from None
+
+
+def _load(file: Path) -> Scene:
     data = _read_toml(file)
     if data.get("schema") != SCHEMA:
         raise PhoslabError(
@@ -136,22 +153,23 @@ def load_scene(path: str | PathLike[str]) -> Scene:
 
 
 def _read_toml(file: Path) -> dict[str, Any]:
+    content = read_regular(file, _LARGEST_BYTES, remedy="Name a scene.toml, or a folder with one.")
     try:
-        data = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PhoslabError(
-            f"cannot be read ({error.strerror})", file=file, remedy="Name a scene.toml, or a folder with one."
-        ) from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        data = tomllib.loads(content.decode("utf-8"))
+    except ValueError as error:  # what it raises for bad UTF-8, bad syntax and thousands of digits
         raise PhoslabError(f"is not valid TOML: {error}", file=file, remedy="Correct that line.") from error
     _refuse_nonfinite(data, "", file)
     return data
 
 
 def _refuse_nonfinite(value: Any, field: str, file: Path) -> None:
-    """Refuse nan and inf, which TOML has: no comparison with a bound would catch a NaN."""
+    """Refuse nan and inf, which TOML has: no comparison with a bound would catch a NaN. So too endless integers."""
     if isinstance(value, float) and not np.isfinite(value):
         raise PhoslabError(f"is {value}", file=file, field=field, remedy="Give a finite number.")
+    if isinstance(value, int) and value.bit_length() > 63:
+        raise PhoslabError(
+            "is beyond the 64-bit integers of TOML", file=file, field=field, remedy="Give a smaller number."
+        )
     if isinstance(value, dict):
         for key, item in value.items():
             _refuse_nonfinite(item, f"{field}.{key}".lstrip("."), file)
@@ -181,7 +199,7 @@ class _Loader:
         phosphors = {
             name: Phosphor(
                 material=material,
-                optics=load_optics(material, transport, *units.factors[name]),
+                optics=self._optics(name, material, transport, *units.factors[name]),
                 atlas_texels=entries[name].get("atlas_texels", 512),
                 initial=self._initial(entries[name].get("initial"), initial, f"phosphors.{name}.initial"),
             )
@@ -215,6 +233,24 @@ class _Loader:
                 )
             return presets.preset(wanted)
         return Material.load(inside(self.file.parent, text, file=self.file, field=field))
+
+    def _optics(
+        self,
+        name: str,
+        material: Material,
+        transport: Bands,
+        irradiance_factor: float,
+        radiance_factor: float,
+    ) -> Optics:
+        try:
+            return load_optics(material, transport, irradiance_factor, radiance_factor)
+        except PhoslabError as error:
+            if error.file is not None:
+                raise
+            where = f"phosphors.{name}"
+            raise self.error(
+                where, f"cannot be rendered: its {error.field} {error.problem}", error.remedy
+            ) from error
 
     def _transport(self, materials: Sequence[Material]) -> Bands:
         edges = self.data.get("render", {}).get("bands_nm")
@@ -263,14 +299,23 @@ class _Loader:
         lights = {}
         for name, entry in entries.items():
             field = f"lights.{name}.spectrum"
-            shape = spectra.shape(
-                entry["spectrum"], transport, folder=self.file.parent, file=self.file, field=field
-            )
-            total = float(shape @ transport.widths_nm)
+            with np.errstate(all="ignore"):  # the checks below find what overflows
+                shape = spectra.shape(
+                    entry["spectrum"], transport, folder=self.file.parent, file=self.file, field=field
+                )
+                total = float(shape @ transport.widths_nm)
+                irradiance = (
+                    shape / total * entry["irradiance_at_1m"] * irradiance_unit if total > 0 else shape
+                )
             if not total > 0:
                 raise self.error(field, "gives no light within the transport bands", "Choose other bands.")
-            scale = entry["irradiance_at_1m"] * irradiance_unit / total
-            lights[name] = Light(places[name], shape * scale)
+            if not (irradiance <= LARGEST_IRRADIANCE).all():
+                raise self.error(
+                    f"lights.{name}.irradiance_at_1m",
+                    f"gives more than {LARGEST_IRRADIANCE:g} per nm, with this spectrum and the reference lamp",
+                    "Choose a lower irradiance, or a spectrum of fewer extremes.",
+                )
+            lights[name] = Light(places[name], irradiance)
         return lights
 
     def _check_names(self, table: str, entries: Mapping[str, Any], known: Iterable[str]) -> None:

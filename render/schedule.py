@@ -15,6 +15,9 @@ from dataclasses import dataclass
 from phoslab.errors import PhoslabError
 from phoslab.render.light_course import NEVER, Course, Segment
 
+# 30 thousand years, and float64 still tells their parts of a millisecond apart.
+LATEST_S = 1e12
+
 _TIME = re.compile(r"^(off)?([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)?s?$")
 
 
@@ -89,8 +92,16 @@ class Schedule:
                     remedy="Give the lights a schedule that ends, or write the time in seconds.",
                 )
             seconds += self.off_s
-        if not 0 <= seconds < math.inf:
-            raise PhoslabError(
-                f"{text!r} is before the scene begins at 0", field=field, remedy="Use 0 or later."
-            )
-        return seconds
+        return check_time(seconds, repr(text), field=field)
+
+
+def check_time(seconds: float, text: str, *, field: str = "the time") -> float:
+    """Return a time in s that a scene can have.
+
+    Raises:
+        PhoslabError: it is before 0, after `LATEST_S` or not a number.
+    """
+    if not 0 <= seconds <= LATEST_S:
+        when = "after its end" if seconds > LATEST_S else "before the scene begins"
+        raise PhoslabError(f"{text} is {when}", field=field, remedy=f"Use 0 to {LATEST_S:g} s.")
+    return seconds

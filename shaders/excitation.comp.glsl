@@ -6,6 +6,9 @@ uniform sampler2DArray irradiance; // LAYERS layers over the atlas
 uniform sampler2DArray ke_width;   // STATES x LAYERS layers over the material's texture space: ke dλ
 uniform sampler2D atlas_uv;
 uniform int layer;
+// In 1/s: the largest ke times the largest irradiance of a scene. A point nearer to a lamp than that is saturated.
+const float LARGEST = 1e15;
+
 layout(IMAGE_FORMAT, binding = 0) writeonly uniform image2DArray excitation;
 
 void main() {
@@ -18,5 +21,5 @@ void main() {
         for (int i = 0; i < STATES; ++i)
             a[i] += dot(textureLod(ke_width, vec3(uv, i * LAYERS + l), 0.0), E);
     }
-    imageStore(excitation, ivec3(texel, layer), a);
+    imageStore(excitation, ivec3(texel, layer), min(a, LARGEST));
 }

@@ -17,6 +17,9 @@ const float DIRECTIONAL = 0.0;
 const float ONE_VIEW = 1.0;  // a spot
 const float SIX_VIEWS = 2.0; // a point, or a spot too wide for one view
 
+// A point light has no size: nearer than this, in m, its irradiance grows no more and stays a number.
+const float NEAREST = 1e-6;
+
 // Irradiance at the point over that at 1 m on the light's axis, without shadow; L is the direction to the light.
 float attenuation(Light light, vec3 p_w, vec3 normal_w, out vec3 L) {
     if (light.position_w.w == DIRECTIONAL) {
@@ -24,9 +27,10 @@ float attenuation(Light light, vec3 p_w, vec3 normal_w, out vec3 L) {
         return max(dot(normal_w, L), 0.0);
     }
     vec3 d = light.position_w.xyz - p_w;
-    L = normalize(d);
+    float square = max(dot(d, d), NEAREST * NEAREST);
+    L = d / sqrt(square);
     float c = clamp(dot(-L, light.direction_w.xyz) * light.cone.x + light.cone.y, 0.0, 1.0);
-    return c * c * max(dot(normal_w, L), 0.0) / dot(d, d);
+    return c * c * max(dot(normal_w, L), 0.0) / square;
 }
 
 int view_of(Light light, vec3 p_w) {

@@ -32,10 +32,10 @@ def test_a_sound_scene_loads_without_a_warning(lit):
     [
         ('gltf = "scene.gltf"', 'gltf = "../scene.gltf"', "not a file inside the folder"),
         ('gltf = "scene.gltf"', 'gltf = "/etc/passwd"', "not a file inside the folder"),
-        ('gltf = "scene.gltf"', 'gltf = "none.glb"', "none.glb: is missing"),
+        ('gltf = "scene.gltf"', 'gltf = "none.glb"', "none.glb: cannot be read"),
         ("phoslab-scene/1", "phoslab-scene/9", "cannot read"),
         ('"preset:green"', '"preset:mauve"', "unknown preset 'mauve'"),
-        ('"preset:green"', '"none.json"', "cannot be read as a material"),
+        ('"preset:green"', '"none.json"', "none.json: cannot be read"),
         ('"preset:green"', '"../green.json"', "not a file inside the folder"),
         (
             "[phosphors.quad]",
