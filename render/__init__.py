@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from os import PathLike
 
@@ -65,7 +66,7 @@ def render(
     find_format(state_format)
     if not 0 < step_s < float("inf"):
         raise PhoslabError(f"is {step_s:g}", field="the step", remedy="Give a positive number of seconds.")
-    labels = [t if isinstance(t, str) else f"{t:g}" for t in (scene.times if times is None else times)]
+    labels = [t if isinstance(t, str) else f"{t:.12g}" for t in (scene.times if times is None else times)]
     moments = [
         scene.schedule.parse_time(t) if isinstance(t, str) else check_time(float(t), f"{t:g}")
         for t in times or labels
@@ -76,6 +77,8 @@ def render(
         stepping=Stepping(solver, step_s, state_format),
         debug=tuple(debug),
     )
+    if not labels:
+        raise PhoslabError("is empty", field="the list of times", remedy="Give one time or more.")
     if device is None:
         with Device() as own:
             return _render(own, scene, labels, moments, parameters, progress)
@@ -100,7 +103,7 @@ def _render(
             progress(len(frames), len(moments))
     return Frames(
         tuple(frames[k] for k in range(len(moments))),
-        scene=scene.file.parent.name,
+        scene=os.fsencode("/".join(scene.file.resolve().parts[-2:])).decode("utf-8", "replace"),
         solver=parameters.stepping.solver,
         exposures=scene.exposures,
     )

@@ -22,7 +22,11 @@ AUTO_DARK = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Frames of one scene, in the order asked for, and how to show them."""
+    """Frames of one scene, in the order asked for, and how to show them.
+
+    Args:
+        scene: where they come from, for the files' metadata: the scene's folder and file.
+    """
 
     frames: tuple[Frame, ...]
     scene: str
@@ -68,9 +72,11 @@ class Frames:
         out = Path(out)
         check_suffix(out)
         written = []
-        for frame in self.frames:
-            path = out if len(self) == 1 else out.with_name(f"{out.stem}-{frame.label}{out.suffix}")
-            if out.suffix == ".exr":
+        # A time that was asked for twice is one file.
+        each = {frame.label: frame for frame in self.frames}.values()
+        for frame in each:
+            path = out if len(each) == 1 else out.with_name(f"{out.stem}-{frame.label}{out.suffix}")
+            if out.suffix.lower() == ".exr":
                 images.write_exr(path, frame, scene=self.scene, solver=self.solver)
             else:
                 images.write_png(
@@ -86,7 +92,7 @@ class Frames:
 
 def check_suffix(out: Path) -> None:
     """Refuse a file name whose kind cannot be written: better before rendering than after."""
-    if out.suffix not in (".png", ".exr"):
+    if out.suffix.lower() not in (".png", ".exr"):
         raise PhoslabError(
             f"has the suffix {out.suffix!r}", file=out, remedy="Name a .png or .exr file to write."
         )

@@ -8,17 +8,12 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from phoslab import times
 from phoslab.errors import PhoslabError
 from phoslab.render.light_course import NEVER, Course, Segment
-
-# 30 thousand years, and float64 still tells their parts of a millisecond apart.
-LATEST_S = 1e12
-
-_TIME = re.compile(r"^(off)?([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)?s?$")
 
 
 @dataclass(frozen=True)
@@ -78,13 +73,11 @@ class Schedule:
         >>> Schedule({"lamp": Course(Switched(((0.0, 60.0),)))}).parse_time("off+80s")
         140.0
         """
-        match = _TIME.match(text.strip().replace(" ", ""))
-        if match is None or not (match[1] or match[2]):
-            raise PhoslabError(
-                f"{text!r} is not understood", field=field, remedy="Write seconds (`12.5`) or `off+80s`."
-            )
-        seconds = float(match[2] or 0.0)
-        if match[1]:
+        try:
+            from_off, seconds = times.parse_time(text)
+        except ValueError as error:
+            raise PhoslabError(str(error), field=field, remedy=times.REMEDY) from None
+        if from_off:
             if self.off_s is None:
                 raise PhoslabError(
                     f"{text!r} counts from when the last light goes off, but that never happens in this scene",
@@ -96,12 +89,12 @@ class Schedule:
 
 
 def check_time(seconds: float, text: str, *, field: str = "the time") -> float:
-    """Return a time in s that a scene can have.
+    """Return the seconds of a moment that a scene can have; `text` is how it was written.
 
     Raises:
-        PhoslabError: it is before 0, after `LATEST_S` or not a number.
+        PhoslabError: see `phoslab.times.check_time`.
     """
-    if not 0 <= seconds <= LATEST_S:
-        when = "after its end" if seconds > LATEST_S else "before the scene begins"
-        raise PhoslabError(f"{text} is {when}", field=field, remedy=f"Use 0 to {LATEST_S:g} s.")
-    return seconds
+    try:
+        return times.check_time(seconds, text)
+    except ValueError as error:
+        raise PhoslabError(str(error), field=field, remedy=f"Use 0 to {times.LATEST_S:g} s.") from None

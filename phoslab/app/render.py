@@ -9,51 +9,69 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
-from phoslab.errors import PhoslabError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from phoslab import times
+from phoslab.app.progress import progress_bar
+from phoslab.files import check_writable
 
 HELP = "render a scene at given times"
 EXAMPLE = "phoslab render scenes/fading -o glow.png --at off-1s,off+1s,off+80s"
 
-# Work that is shorter than this needs no progress bar.
-SHORT_S = 1.0
+# What the renderer knows by name, so that bad usage needs no renderer to be found out. A test compares them.
+SUFFIXES = (".png", ".exr")
+SOLVERS = ("euler", "substep", "exact", "exact2", "rk23")
+FORMATS = ("f32", "f16", "unorm16", "f32c")
+PASSES = (
+    *("shadow_map", "atlas_geometry", "atlas_irradiance", "excitation", "phosphor_step"),
+    *("gbuffer", "direct_light", "glow", "resolve"),
+)
+
+# Pixels along a side, as in a scene file.
+LARGEST_SIDE = 16384
+
+T = TypeVar("T")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("scene", metavar="SCENE", type=Path, help="a scene.toml, or its folder")
     parser.add_argument(
-        "-o", "--out", metavar="OUT", type=Path, required=True, help="a .png or .exr to write"
+        "-o", "--out", metavar="OUT", type=_picture, required=True, help="a .png or .exr to write"
     )
     parser.add_argument(
-        "--at", metavar="TIMES", help="seconds, or off+80s, off-1s; comma between (default: the scene's)"
+        "--at",
+        metavar="TIMES",
+        type=_each(_time),
+        help="seconds, or off+80s, off-1s; comma between (default: the scene's)",
     )
     parser.add_argument(
         "--solver",
+        choices=SOLVERS,
         help="exact: any stretch of constant light in one step (default); exact2: the same, and the mean light of "
         "each step where it varies (default in a scene with such a light); euler (the paper's), substep, rk23: "
         "step by step",
     )
     parser.add_argument(
-        "--step", metavar="S", type=float, default=1 / 60, help="length of a step in s (default 1/60)"
+        "--step", metavar="S", type=_seconds, default=1 / 60, help="length of a step in s (default 1/60)"
     )
     parser.add_argument(
         "--state-format",
+        choices=FORMATS,
         default="f32",
         help="what holds the state between light changes: f32 (default), f16, unorm16, f32c (compensated)",
     )
-    parser.add_argument("--size", metavar="WxH", help="size of the picture in pixels (default: the scene's)")
     parser.add_argument(
-        "--debug", metavar="PASS,...", default="", help="also write what these passes made, beside OUT"
+        "--size", metavar="WxH", type=_size, help="size of the picture in pixels (default: the scene's)"
+    )
+    parser.add_argument(
+        "--debug",
+        metavar="PASS,...",
+        type=_each(_pass),
+        default=[],
+        help="also write what these passes made, beside OUT",
     )
     parser.add_argument("--json", action="store_true", help="print files and warnings as JSON")
 
@@ -61,20 +79,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Render, write, and say what was written."""
     from phoslab.render import load_scene, render
-    from phoslab.render.frames import check_suffix
 
-    check_suffix(args.out)
-    size = _parse_size(args.size)
+    check_writable(args.out)
     scene = load_scene(args.scene)
-    with _progress() as progress:
+    with progress_bar("rendering") as progress:
         frames = render(
             scene,
-            None if args.at is None else [t.strip() for t in args.at.split(",") if t.strip()],
+            args.at,
             solver=args.solver,
             step_s=args.step,
             state_format=args.state_format,
-            size=size,
-            debug=[name.strip() for name in args.debug.split(",") if name.strip()],
+            size=args.size,
+            debug=args.debug,
             progress=progress,
         )
     written = frames.write(args.out)
@@ -88,34 +104,53 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _parse_size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    if match is None or "0" in match.groups():
-        raise PhoslabError(f"is {text!r}", field="--size", remedy="Write width x height, such as 640x480.")
+def _picture(text: str) -> Path:
+    path = Path(text)
+    if path.suffix.lower() not in SUFFIXES:
+        raise argparse.ArgumentTypeError(f"{text!r} is no file name that ends in {' or '.join(SUFFIXES)}")
+    return path
+
+
+def _size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", text, re.ASCII)
+    if match is None or not all(1 <= int(side) <= LARGEST_SIDE for side in match.groups()):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no width x height such as 640x480, each from 1 to {LARGEST_SIDE}"
+        )
     return int(match[1]), int(match[2])
 
 
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """Yield a callback that moves a bar with the time left, on stderr, shown once the work proves to be long."""
-    from rich.console import Console
-    from rich.progress import Progress, TimeRemainingColumn
-
-    bar = Progress(
-        *Progress.get_default_columns()[:-1],
-        TimeRemainingColumn(),
-        console=Console(file=sys.stderr),
-        transient=True,
-    )
-    task = bar.add_task("rendering", total=None)
-    show_late = threading.Timer(SHORT_S, bar.start)
-    show_late.start()
+def _seconds(text: str) -> float:
     try:
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-    finally:
-        show_late.cancel()
-        show_late.join()
-        if bar.live.is_started:
-            bar.stop()
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is no positive number of seconds")
+    return seconds
+
+
+def _time(text: str) -> str:
+    try:
+        times.parse_time(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{error}. {times.REMEDY}") from None
+    return text
+
+
+def _pass(text: str) -> str:
+    if text not in PASSES:
+        raise argparse.ArgumentTypeError(f"{text!r} is no pass (choose from {', '.join(PASSES)})")
+    return text
+
+
+def _each(parse: Callable[[str], T]) -> Callable[[str], list[T]]:
+    """Return the parser of a list with commas between; what is given twice counts once."""
+
+    def parse_all(text: str) -> list[T]:
+        parts = [part.strip() for part in text.split(",") if part.strip()]
+        if not parts:
+            raise argparse.ArgumentTypeError(f"{text!r} names nothing")
+        return list(dict.fromkeys(parse(part) for part in parts))
+
+    return parse_all

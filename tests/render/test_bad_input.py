@@ -141,7 +141,7 @@ def test_going_beyond_the_data_is_said_on_every_output(lit, tmp_path):
     assert "beyond" in Image.open(tmp_path / "out-off+181s.png").text["phoslab:warnings"]
 
 
-@pytest.mark.parametrize("time", ["off+x", "soon", "-1", "", "off-20s", "1e999"])
+@pytest.mark.parametrize("time", ["off+x", "soon", "-1", "", "off-20s", "1e999", "1e13"])
 def test_a_wrong_time_is_refused(lit, refuses, time):
     assert repr(time) in refuses(render, lit.write(), [time])
 
