@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from phoslab.errors import PhoslabError
 from phoslab.render.device import Device, set_uniforms
-from phoslab.render.optics import SLOWEST_PER_S
 from phoslab.render.phosphor_step import GROUP, PhosphorStep
 from phoslab.render.solvers import check_step, find_solver
 from phoslab.render.state_formats import StateTexture, bind_states, find_format, state_defines
@@ -56,11 +55,7 @@ class BareState:
         self.size = (w, h)
         self._kr = rates
         self._largest_a = self._largest(first)
-        kr_map = (
-            None
-            if rates.ndim == 1
-            else device.texture(self.size, self.n_states, np.maximum(rates, SLOWEST_PER_S))
-        )
+        kr_map = None if rates.ndim == 1 else device.texture(self.size, self.n_states, rates)
         self._step = PhosphorStep(device, self.n_states, rates if kr_map is None else kr_map, solver)
         self._texel_uv = None if kr_map is None else device.texture(self.size, 2, _centres(w, h))
         self.format = find_format(state_format)

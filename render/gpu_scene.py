@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from phoslab.render.atlas import Atlas, make_atlas
 from phoslab.render.device import Device
 from phoslab.render.geometry import Geometry, bounds
-from phoslab.render.optics import SLOWEST_PER_S, Optics, to_layers
+from phoslab.render.optics import Optics, to_layers
 from phoslab.render.scene import Drawable, Scene
 
 Array = NDArray[np.float64]
@@ -123,7 +123,7 @@ def _upload_material(device: Device, optics: Optics) -> MaterialTextures:
 
     h, w, n_c = optics.kr_per_s.shape
     return MaterialTextures(
-        kr=device.texture((w, h), n_c, np.maximum(optics.kr_per_s, SLOWEST_PER_S), linear=True),
+        kr=device.texture((w, h), n_c, optics.kr_per_s, linear=True),
         ke_width=layered(optics.ke_width),
         emission=layered(optics.emission),
         n_states=n_c,

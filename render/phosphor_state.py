@@ -27,8 +27,8 @@ from phoslab.render.state_formats import StateTexture
 
 Array = NDArray[np.float64]
 
-# Long enough that the exact step ends at the equilibrium whatever the rates.
-FOREVER_S = 1e30
+# Long enough that the exact step ends at the equilibrium, short enough that no rate times it overflows float32.
+FOREVER_S = 1e20
 
 # A remainder of a step below this share of it is rounding, not time.
 NEGLIGIBLE_SHARE = 1e-6

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.render.device import Device, set_uniforms
-from phoslab.render.optics import SLOWEST_PER_S
 from phoslab.render.passes import Picture
 from phoslab.render.solvers import find_solver, share_in_dark
 from phoslab.render.state_formats import StateTexture, bind_states, state_defines
@@ -18,6 +17,9 @@ from phoslab.solvers import EXPLICIT_LIMIT
 Array = NDArray[np.float64]
 
 GROUP = (64, 1)  # the local size in the shaders
+
+# A kr dt that is not 0 and decays nothing, so that a / (a + kr) is defined without a test on every texel.
+SLOWEST = 1e-37
 
 
 class PhosphorStep:
@@ -73,14 +75,14 @@ class PhosphorStep:
             set_uniforms(shader, stay=_four(stay), move=_four(move))
         else:
             excitation.use(2)
-            set_uniforms(shader, excitation=2, dt=dt_s, course=course.astype("f4").tobytes())
+            set_uniforms(shader, excitation=2, course_dt=(course * dt_s).astype("f4").tobytes())
             if isinstance(self._kr, np.ndarray):
-                set_uniforms(shader, kr=tuple(np.maximum(_four(self._kr), SLOWEST_PER_S).tolist()))
+                set_uniforms(shader, kr_dt=tuple(np.maximum(_four(self._kr * dt_s), SLOWEST).tolist()))
             else:
                 assert atlas_uv is not None
                 atlas_uv.use(3)
                 self._kr.use(4)
-                set_uniforms(shader, atlas_uv=3, kr_map=4)
+                set_uniforms(shader, atlas_uv=3, kr_map=4, dt=dt_s)
         for _ in range(times):
             bind_states(shader, r, target)
             self._device.dispatch(shader, target.value.size, group=GROUP)
@@ -100,7 +102,7 @@ class PhosphorStep:
             "LIGHTS": len(course),
         }
         if isinstance(self._kr, moderngl.Texture):
-            defines["KR_MAP"] = 1
+            defines |= {"KR_MAP": 1, "SLOWEST": f"{SLOWEST:e}"}
         return self._device.compute(self.name, {**states, **defines})
 
     def debug_views(self) -> dict[str, Picture]:

@@ -2,7 +2,7 @@
 
 A solver is a file `shaders/include/solver_NAME.glsl` that defines
 
-    void step_state(STATE r, STATE kr, Drive drive, float dt, out STATE from, out STATE change)
+    void step_state(STATE r, STATE kr_dt, Drive drive, out STATE from, out STATE change)
 
 and one line in `SOLVERS`. The new state is from + change: a format that keeps more than the sum can then do so.
 """

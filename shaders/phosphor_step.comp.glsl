@@ -7,29 +7,29 @@ layout(local_size_x = 64) in; // a row of texels: an eighth faster than a square
 #include "SOLVER"
 
 uniform sampler2DArray excitation; // a_i in 1/s at factor 1: one layer a light, or lights that run alike
-uniform vec3 course[LIGHTS];       // each layer's factor, as a quadratic in the share of the step
-uniform float dt;                  // s
+uniform vec3 course_dt[LIGHTS];    // each layer's factor times dt, as a quadratic in the share of the step
 #ifdef KR_MAP
 uniform sampler2D atlas_uv;
-uniform sampler2D kr_map;
+uniform sampler2D kr_map; // 1/s
+uniform float dt;         // s
 #else
-uniform vec4 kr; // 1/s
+uniform vec4 kr_dt; // computed in float64
 #endif
 
 void main() {
     ivec2 texel = ivec2(gl_GlobalInvocationID.xy);
     if (texel.x >= imageSize(r_out).x) return;
 #ifdef KR_MAP
-    vec4 kr = textureLod(kr_map, texelFetch(atlas_uv, texel, 0).xy, 0.0);
+    vec4 kr_dt = max(textureLod(kr_map, texelFetch(atlas_uv, texel, 0).xy, 0.0) * dt, SLOWEST);
 #endif
     Drive drive = Drive(STATE(0.0), STATE(0.0), STATE(0.0));
     for (int l = 0; l < LIGHTS; ++l) {
         STATE a = OF_STATES(texelFetch(excitation, ivec3(texel, l), 0));
-        drive.a0 += course[l].x * a;
-        drive.a1 += course[l].y * a;
-        drive.a2 += course[l].z * a;
+        drive.a0 += course_dt[l].x * a;
+        drive.a1 += course_dt[l].y * a;
+        drive.a2 += course_dt[l].z * a;
     }
     STATE r = load_state(texel), from, change;
-    step_state(r, OF_STATES(kr), drive, dt, from, change);
+    step_state(r, OF_STATES(kr_dt), drive, from, change);
     store_state(texel, r, from, change);
 }

@@ -1,4 +1,4 @@
-// The excitation over one step, in 1/s, as the quadratic a(s) = a0 + a1 s + a2 s² in the share s of the step.
+// The excitation over one step, times dt, as the quadratic a(s) = a0 + a1 s + a2 s² in the share s of the step.
 struct Drive {
     STATE a0, a1, a2;
 };
@@ -8,14 +8,14 @@ STATE excitation_at(Drive drive, float s) {
     return max(drive.a0 + s * (drive.a1 + s * drive.a2), 0.0);
 }
 
-// The largest of start, middle and end over the states, together with kr, times dt.
-float stiffness(Drive drive, STATE kr, float dt) {
+// The largest (a + kr) dt of start, middle and end, over the states.
+float stiffness(Drive drive, STATE kr_dt) {
     STATE a = max(drive.a0, max(excitation_at(drive, 0.5), excitation_at(drive, 1.0)));
-    STATE k = a + kr;
+    STATE k = a + kr_dt;
 #if STATES <= 2
-    return max(k.x, k.y) * dt;
+    return max(k.x, k.y);
 #else
-    return max(max(k.x, k.y), max(k.z, k.w)) * dt;
+    return max(max(k.x, k.y), max(k.z, k.w));
 #endif
 }
 
