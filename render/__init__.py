@@ -15,7 +15,7 @@ from phoslab.errors import PhoslabError
 from phoslab.render.device import Device
 from phoslab.render.frame import Frame as Frame
 from phoslab.render.frames import Frames as Frames
-from phoslab.render.phosphor_state import Stepping
+from phoslab.render.phosphor_state import Stepping, check_work
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.render.scene import Scene as Scene
 from phoslab.render.scene import load_scene as load_scene
@@ -77,6 +77,7 @@ def render(
         stepping=Stepping(solver, step_s, state_format),
         debug=tuple(debug),
     )
+    check_work(scene.schedule, max(moments), parameters.stepping)
     if not labels:
         raise PhoslabError("is empty", field="the list of times", remedy="Give one time or more.")
     if device is None:

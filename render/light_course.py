@@ -36,6 +36,23 @@ class Course:
         """Return the factor at a time; at a jump, the value after it."""
         return float(self.on.at(t_s) * self.programme.at(t_s))
 
+    @property
+    def largest(self) -> float:
+        """What the factor never exceeds."""
+        match self.programme:
+            case Strobe(duty=duty):
+                return 1 / duty
+            case Sine(depth=depth):
+                return 1 + depth
+        return 1.0
+
+    def most_changes(self, end_s: float) -> float:
+        """Return what the number of jumps from 0 to `end_s` does not exceed."""
+        switched = 2.0 * len(self.on.intervals)
+        if isinstance(self.programme, Strobe):
+            return 2 * switched + 2 * float(self.on.integral(end_s)) / self.programme.period_s
+        return switched
+
     def changes(self, start_s: float, end_s: float) -> list[float]:
         """Return the times in (start_s, end_s) at which the factor may jump."""
         edges = [self.on.changes(start_s, end_s)]

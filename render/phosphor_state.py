@@ -7,12 +7,14 @@ light varies, or a solver has no closed form, the anchor moves step by step.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phoslab.errors import PhoslabError
 from phoslab.render.atlas_geometry import AtlasGeometry
 from phoslab.render.atlas_irradiance import AtlasIrradiance
 from phoslab.render.device import Device
@@ -22,7 +24,7 @@ from phoslab.render.light_course import Segment
 from phoslab.render.passes import Picture, false_grey
 from phoslab.render.phosphor_step import PhosphorStep
 from phoslab.render.schedule import Schedule
-from phoslab.render.solvers import check_step
+from phoslab.render.solvers import check_step, find_solver
 from phoslab.render.state_formats import StateTexture
 
 Array = NDArray[np.float64]
@@ -32,6 +34,9 @@ FOREVER_S = 1e20
 
 # A remainder of a step below this share of it is rounding, not time.
 NEGLIGIBLE_SHARE = 1e-6
+
+# A day of them at 60 a second and twice that; on most machines an hour's work.
+MOST_STEPS = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,32 @@ class Stepping:
     solver: str = "exact"
     step_s: float = 1 / 60
     state_format: str = "f32"
+
+
+def check_work(schedule: Schedule, until_s: float, stepping: Stepping) -> None:
+    """Refuse more steps until a time than anybody would wait for.
+
+    Raises:
+        PhoslabError: there are more than `MOST_STEPS`; the remedy says what is too short or too long.
+    """
+    courses = schedule.alike
+    changes = sum(course.most_changes(until_s) for course in courses)
+    if changes > MOST_STEPS:
+        raise PhoslabError(
+            f"change {changes:.2g} times until {until_s:g} s",
+            field="the lights",
+            remedy="Ask for an earlier time, or give them a programme of a longer period.",
+        )
+    stepped_s = until_s
+    if find_solver(stepping.solver).closed_form:
+        varying = [course for course in courses if not course.programme.piecewise_constant]
+        stepped_s = sum(float(course.on.integral(until_s)) for course in varying)
+    if stepped_s / stepping.step_s > MOST_STEPS:
+        raise PhoslabError(
+            f"of {stepping.step_s:g} s makes {stepped_s / stepping.step_s:.2g} steps until {until_s:g} s",
+            field="the step (--step)",
+            remedy=f"Use at least {stepped_s / MOST_STEPS:.2g} s, an earlier time, or --solver exact.",
+        )
 
 
 class PhosphorState:
@@ -84,6 +115,9 @@ class PhosphorState:
         # A picture's state is float32 whatever the format, and never moves the anchor.
         self._picture = StateTexture(device, atlas.size, material.n_states, "f32")
         self.shown = self._anchor
+        self._largest = np.array([course.largest for course in schedule.alike])
+        # What a + kr of this phosphor, and of any, never exceeds: known once it is excited.
+        self.largest_rate_per_s = self.strictest_per_s = 0.0
 
     def excite(self) -> None:
         """Find the excitation of every texel under each course's lights. Once is enough while nothing moves."""
@@ -92,6 +126,8 @@ class PhosphorState:
             self.excitation.run(self.atlas, self.light, layer)
         if np.isfinite(self.step.solver.largest_step):
             self._largest_a = self.excitation.largest_rates()
+            a = float(self._largest @ self._largest_a[: len(self._largest)])
+            self.largest_rate_per_s = self.strictest_per_s = a + float(self.phosphor.optics.kr_per_s.max())
 
     def reset(self) -> None:
         """Put the state at time 0 in place: empty, saturated, or the equilibrium under given lights."""
@@ -111,7 +147,7 @@ class PhosphorState:
             PhoslabError: the solver does not bear its step.
         """
         whole, rest = self._steps(segment)
-        for begin_s, end_s in [*whole, *rest]:
+        for begin_s, end_s in chain(whole, rest):
             self._move_anchor(segment, begin_s, end_s)
         self.shown = self._anchor
 
@@ -130,16 +166,16 @@ class PhosphorState:
             self.shown = self._picture
         return rest[0][0] if rest else segment.end_s
 
-    def _steps(self, segment: Segment) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    def _steps(self, segment: Segment) -> tuple[Iterator[tuple[float, float]], list[tuple[float, float]]]:
         """Return the whole steps that span a segment, and what is left: one (begin_s, end_s) or none."""
         if self.step.solver.closed_form and segment.constant:
-            return [], [(segment.start_s, segment.end_s)]
+            return iter(()), [(segment.start_s, segment.end_s)]
         step = self._stepping.step_s
         n = int(np.floor((segment.end_s - segment.start_s) / step + NEGLIGIBLE_SHARE))
         edges = [segment.start_s + k * step for k in range(n + 1)]
         if segment.end_s - edges[-1] > NEGLIGIBLE_SHARE * step:
-            return list(pairwise(edges)), [(edges[-1], segment.end_s)]
-        return list(pairwise([*edges[:-1], segment.end_s])), []
+            return pairwise(edges), [(edges[-1], segment.end_s)]
+        return pairwise([*edges[:-1], segment.end_s]), []
 
     def _move_anchor(self, segment: Segment, begin_s: float, end_s: float) -> None:
         self._take(segment, begin_s, end_s, self._spare)
@@ -152,7 +188,8 @@ class PhosphorState:
             strongest = [max(solver.light(drive)) for drive in drives]
             a = float(strongest @ self._largest_a[: len(drives)])
             largest = a + float(self.phosphor.optics.kr_per_s.max())
-            check_step(self._stepping.solver, largest, dt_s, repr(self.drawable.drawable.name))
+            where = repr(self.drawable.drawable.name)
+            check_step(self._stepping.solver, largest, dt_s, where, self.strictest_per_s)
         self._run(self.step, target, dt_s, solver.course(drives))
 
     def _run(self, step: PhosphorStep, target: StateTexture, dt_s: float, course: Array) -> None:

@@ -119,6 +119,8 @@ class Renderer:
             state.atlas.run()
             state.excite()
             state.reset()
+        for state in self.states:
+            state.strictest_per_s = max(other.largest_rate_per_s for other in self.states)
         self.gbuffer.run(self.scene.camera)
 
     def frame(self, t_s: float, label: str | None = None) -> Frame:

@@ -9,6 +9,7 @@ and one line in `SOLVERS`. The new state is from + change: a format that keeps m
 
 from __future__ import annotations
 
+import decimal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -94,12 +95,15 @@ def find_solver(name: str) -> Solver:
     return SOLVERS[name]
 
 
-def check_step(name: str, largest_rate_per_s: float, dt_s: float, where: str) -> None:
+def check_step(
+    name: str, largest_rate_per_s: float, dt_s: float, where: str, strictest_per_s: float = 0.0
+) -> None:
     """Refuse a step that would overshoot, or take an explicit method for ever.
 
     Args:
         largest_rate_per_s: what no texel's a + kr exceeds.
         where: what is stepped, for the message.
+        strictest_per_s: what no a + kr of any other material or time exceeds: the step that is advised suits them too.
 
     Raises:
         PhoslabError: dt is negative or not finite, or (a + kr) dt is above what the solver bears.
@@ -109,12 +113,19 @@ def check_step(name: str, largest_rate_per_s: float, dt_s: float, where: str) ->
     limit = find_solver(name).largest_step
     largest = largest_rate_per_s * dt_s
     if largest > limit:
+        advised = limit / max(largest_rate_per_s, strictest_per_s)
         what = "overshoots" if limit == EULER_LIMIT else "would take too many parts"
         raise PhoslabError(
             f"{what} on {where}: (a + kr) dt reaches {largest:.3g}, and it bears {limit:g}",
             field=f"solver {name!r}",
-            remedy=f"Step by {limit / largest_rate_per_s:.2g} s or less (--step), or use --solver exact.",
+            remedy=f"Step by {_rounded_down(advised):g} s or less (--step), or use --solver exact.",
         )
+
+
+def _rounded_down(value: float) -> float:
+    """Return two digits of a positive value, never more than it, and less by what the end of a step may be moved."""
+    context = decimal.Context(prec=2, rounding=decimal.ROUND_FLOOR)
+    return float(context.create_decimal_from_float(value * (1 - 1e-5)))
 
 
 def share_in_dark(kr: ArrayLike, dt_s: float) -> tuple[Array, Array]:
