@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.files import inside, replacing
+from phoslab.exr import read_channels, write_channels
+from phoslab.files import inside
 from phoslab.material import Material
 
 Map = NDArray[np.float32]
@@ -32,15 +33,10 @@ def channel_names(shape: tuple[int, ...], *, by_band: bool = False) -> list[str]
 
 def write_map(path: str | PathLike[str], values: Map, *, by_band: bool = False) -> None:
     """Write (height, width, ...) values as a map; row 0 is v = 0."""
-    import OpenEXR
-
     texels = np.asarray(values, dtype=np.float32)
     flat = texels.reshape(*texels.shape[:2], -1)
     names = channel_names(texels.shape[2:], by_band=by_band)
-    channels = {name: np.ascontiguousarray(flat[..., i]) for i, name in enumerate(names)}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with replacing(path) as temporary, OpenEXR.File(header, channels) as exr:
-        exr.write(str(temporary))
+    write_channels(path, {name: flat[..., i] for i, name in enumerate(names)}, {})
 
 
 def load_maps(material: Material) -> dict[str, Map]:
@@ -58,17 +54,7 @@ def load_maps(material: Material) -> dict[str, Map]:
 
 
 def _read(path: Path, shape: tuple[int, ...], field: str) -> Map:
-    import OpenEXR
-
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as exr:
-            channels = {name: np.asarray(c.pixels) for name, c in exr.channels().items()}
-    except Exception as error:  # the library raises many kinds for what is not an EXR file
-        raise PhoslabError(
-            f"cannot be read as an OpenEXR image ({error})",
-            file=path,
-            remedy="Write it with phoslab.maps.write_map, or name another file.",
-        ) from error
+    channels = read_channels(path, remedy="Write it with phoslab.maps.write_map, or name another file.")
     names = channel_names(shape, by_band=field == "albedo")
     if sorted(channels) != sorted(names):
         raise PhoslabError(

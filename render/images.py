@@ -14,6 +14,7 @@ import numpy as np
 from phoslab import __version__
 from phoslab.bands import Bands
 from phoslab.colorimetry import display_srgb
+from phoslab.exr import write_channels
 from phoslab.files import replacing
 from phoslab.render.frame import Frame
 from phoslab.render.passes import Picture
@@ -43,14 +44,10 @@ def write_view(path: Path, view: Picture) -> None:
 
 def write_exr(path: Path, frame: Frame, *, scene: str, solver: str) -> None:
     """Write the frame's band radiance and XYZ as float32, linear, in the scene's units."""
-    import OpenEXR
-
     names = band_channels(frame.bands)
-    channels = {name: np.ascontiguousarray(frame.radiance[..., k]) for k, name in enumerate(names)}
-    channels |= {name: np.ascontiguousarray(frame.xyz[..., k]) for k, name in enumerate("XYZ")}
-    header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
+    channels = {name: frame.radiance[..., k] for k, name in enumerate(names)}
+    channels |= {name: frame.xyz[..., k] for k, name in enumerate("XYZ")}
+    attributes = {
         "spectralLayoutVersion": "1.0",
         "emissiveUnits": "W.m^-2.sr^-1.nm^-1",
         "software": f"phoslab {__version__}",
@@ -60,8 +57,7 @@ def write_exr(path: Path, frame: Frame, *, scene: str, solver: str) -> None:
         "phoslab:band_edges_nm": json.dumps(frame.bands.edges_nm.tolist()),
         "phoslab:warnings": "\n".join(frame.warnings),
     }
-    with replacing(path) as temporary, OpenEXR.File(header, channels) as exr:
-        exr.write(str(temporary))
+    write_channels(path, channels, attributes)
 
 
 def band_channels(bands: Bands) -> list[str]:

@@ -1,5 +1,6 @@
 """Material maps."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -50,3 +51,11 @@ def test_a_map_that_is_no_exr_or_lies_elsewhere_is_refused(tmp_path):
         maps.load_maps(material)
     with pytest.raises(PhoslabError, match="inside the folder"):
         maps.load_maps(replace(material, maps={"kr_per_s": "../map.exr"}))
+
+
+def test_a_pipe_in_place_of_a_map_is_refused(tmp_path):
+    material = with_map(tmp_path, np.ones((2, 2, 2), np.float32), "kr_per_s")
+    (tmp_path / "map.exr").unlink()
+    os.mkfifo(tmp_path / "map.exr")
+    with pytest.raises(PhoslabError, match=r"map\.exr: is not a regular file"):
+        maps.load_maps(material)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import resource
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -28,6 +31,15 @@ def frames_of(*radiances: np.ndarray, times=None, exposures=AUTO) -> Frames:
         for t, r in zip(times, radiances, strict=True)
     ]
     return Frames(tuple(each), scene="test", solver="exact", exposures=exposures)
+
+
+@pytest.fixture
+def no_room():
+    """A disk on which no file takes more than 100 bytes."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 def read_exr(path) -> tuple[dict[str, np.ndarray], dict]:
@@ -95,3 +107,19 @@ def test_a_failed_write_leaves_neither_the_picture_nor_a_part_of_it(tmp_path, mo
 def test_another_kind_of_file_is_refused(tmp_path, refuses):
     message = refuses(frames_of(np.ones((2, 2, 3), "f4")).write, tmp_path / "a.jpg")
     assert "Name a .png or .exr" in message
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr"])
+def test_a_full_disk_is_an_error_that_leaves_nothing(tmp_path, no_room, suffix):
+    frames = frames_of(np.random.default_rng(2).uniform(0, 1, (16, 16, 8)))
+    with pytest.raises(PhoslabError, match="could not be written") as caught:
+        frames.write(tmp_path / f"a{suffix}")
+    assert f"a{suffix}" in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr"])
+def test_a_folder_whose_name_is_not_utf_8_takes_pictures(tmp_path, suffix):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/l\xe4rm"))
+    (path,) = frames_of(np.ones((4, 4, 8))).write(folder / f"a{suffix}")
+    assert path.stat().st_size > 100
