@@ -340,6 +340,8 @@ def _stored(dtype: str) -> str:
 
 
 def _sampled(texture: Sampled, linear: bool, repeat: bool) -> Sampled:
-    texture.filter = (moderngl.LINEAR, moderngl.LINEAR) if linear else (moderngl.NEAREST, moderngl.NEAREST)
+    # Between the texels of one texel there is nothing, and on a CPU the filter takes its time all the same.
+    smooth = linear and texture.size[:2] != (1, 1)
+    texture.filter = (moderngl.LINEAR, moderngl.LINEAR) if smooth else (moderngl.NEAREST, moderngl.NEAREST)
     texture.repeat_x = texture.repeat_y = repeat
     return texture
