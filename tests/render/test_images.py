@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -33,13 +34,15 @@ def frames_of(*radiances: np.ndarray, times=None, exposures=AUTO) -> Frames:
     return Frames(tuple(each), scene="test", solver="exact", exposures=exposures)
 
 
-@pytest.fixture
+@contextmanager
 def no_room():
     """A disk on which no file takes more than 100 bytes."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 def read_exr(path) -> tuple[dict[str, np.ndarray], dict]:
@@ -110,9 +113,9 @@ def test_another_kind_of_file_is_refused(tmp_path, refuses):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".exr"])
-def test_a_full_disk_is_an_error_that_leaves_nothing(tmp_path, no_room, suffix):
+def test_a_full_disk_is_an_error_that_leaves_nothing(tmp_path, suffix):
     frames = frames_of(np.random.default_rng(2).uniform(0, 1, (16, 16, 8)))
-    with pytest.raises(PhoslabError, match="could not be written") as caught:
+    with pytest.raises(PhoslabError, match="could not be written") as caught, no_room():
         frames.write(tmp_path / f"a{suffix}")
     assert f"a{suffix}" in str(caught.value)
     assert list(tmp_path.iterdir()) == []
