@@ -15,6 +15,7 @@ from phoslab.errors import PhoslabError
 from phoslab.render.device import Device
 from phoslab.render.frame import Frame as Frame
 from phoslab.render.frames import Frames as Frames
+from phoslab.render.memory import check_room, picture_bytes
 from phoslab.render.phosphor_state import Stepping, check_work
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.render.scene import Scene as Scene
@@ -78,6 +79,9 @@ def render(
         debug=tuple(debug),
     )
     check_work(scene.schedule, max(moments), parameters.stepping)
+    w, h = parameters.size
+    needed = picture_bytes(parameters.size, parameters.supersampling, scene.transport.n, len(moments))
+    check_room(needed, f"a picture of {w} x {h} pixels")
     if not labels:
         raise PhoslabError("is empty", field="the list of times", remedy="Give one time or more.")
     if device is None:

@@ -10,12 +10,14 @@ Whatever a device or a scope of it made is released when it ends, newest first. 
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -24,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
+from phoslab.render import memory
 
 # The run-time names: the development names that glcontext would open ship only in -dev packages.
 LIBGL, LIBEGL = "libGL.so.1", "libEGL.so.1"
@@ -53,6 +56,8 @@ class Device:
 
     def __init__(self, libgl: str = LIBGL, libegl: str = LIBEGL) -> None:
         self._scopes: list[_Scope] = []
+        # Where there is no OpenGL, our own sentence says so; EGL's warnings beside it help nobody.
+        os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
         settings: dict[str, Any] = {"backend": "egl", "libgl": libgl, "libegl": libegl}
         try:
             self.ctx = moderngl.create_context(standalone=True, require=GL_VERSION, **settings)
@@ -94,8 +99,14 @@ class Device:
         return not self._scopes
 
     def check(self) -> None:
-        """Raise if OpenGL has reported an error since the last check: always a bug of ours."""
+        """Raise if OpenGL has reported an error since the last check: a bug of ours, or too little memory.
+
+        Raises:
+            PhoslabError: the driver has run out of memory.
+        """
         state = self.ctx.error
+        if state == "GL_OUT_OF_MEMORY":
+            raise PhoslabError("has too little memory for this", field="OpenGL", remedy=memory.REMEDY)
         if state != "GL_NO_ERROR":
             raise RuntimeError(f"OpenGL reports {state}")
 
@@ -120,6 +131,21 @@ class Device:
         self._scopes[-1].made.append(thing)
         return thing
 
+    def _store(self, make: Callable[[], T]) -> T:
+        """Keep what takes memory, if the driver could make it.
+
+        Raises:
+            PhoslabError: it could not.
+        """
+        try:
+            thing = self._keep(make())
+        except moderngl.Error as error:
+            raise PhoslabError(
+                f"could not make a picture ({str(error).strip()})", field="OpenGL", remedy=memory.REMEDY
+            ) from error
+        self.check()
+        return thing
+
     def texture(
         self,
         size: tuple[int, int],
@@ -140,9 +166,11 @@ class Device:
             linear: bilinear filtering instead of the nearest texel.
             repeat: whether coordinates beyond 0..1 wrap.
         """
-        self._check_size(size)
-        texels = _padded(data, (size[1], size[0]), RENDERABLE[components], dtype)
-        texture = self._keep(self.ctx.texture(size, RENDERABLE[components], texels.tobytes(), dtype=dtype))
+        n = RENDERABLE[components]
+        self.check_size(size)
+        memory.check_room(size[0] * size[1] * n * np.dtype(_stored(dtype)).itemsize, "a texture")
+        texels = _padded(data, (size[1], size[0]), n, dtype)
+        texture = self._store(lambda: self.ctx.texture(size, n, texels, dtype=dtype))
         return _sampled(texture, linear, repeat)
 
     def texture_array(
@@ -164,16 +192,17 @@ class Device:
             data: (layers, height, width, components).
             linear, repeat: as for `texture`.
         """
-        self._check_size(size)
         n = RENDERABLE[components]
+        self.check_size(size)
+        memory.check_room(size[0] * size[1] * layers * n * 4, "a texture")
         texels = _padded(data, (layers, size[1], size[0]), n, "f4")
-        texture = self._keep(self.ctx.texture_array((*size, layers), n, texels.tobytes(), dtype="f4"))
+        texture = self._store(lambda: self.ctx.texture_array((*size, layers), n, texels, dtype="f4"))
         return _sampled(texture, linear, repeat)
 
     def depth_texture(self, size: tuple[int, int]) -> moderngl.Texture:
         """Make a depth texture whose samples are bilinear averages of the comparison `reference <= depth`."""
-        self._check_size(size)
-        texture = self._keep(self.ctx.depth_texture(size))
+        self.check_size(size)
+        texture = self._store(lambda: self.ctx.depth_texture(size))
         texture.compare_func = "<="
         texture.repeat_x = texture.repeat_y = False
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
@@ -181,8 +210,8 @@ class Device:
 
     def depth_renderbuffer(self, size: tuple[int, int]) -> moderngl.Renderbuffer:
         """Make a depth buffer that is only tested, never read."""
-        self._check_size(size)
-        return self._keep(self.ctx.depth_renderbuffer(size))
+        self.check_size(size)
+        return self._store(lambda: self.ctx.depth_renderbuffer(size))
 
     def buffer(self, data: NDArray[Any]) -> moderngl.Buffer:
         """Make a buffer of `data`; one of no bytes is given 16, since OpenGL refuses to bind nothing."""
@@ -194,7 +223,7 @@ class Device:
         depth: moderngl.Texture | moderngl.Renderbuffer | None = None,
     ) -> moderngl.Framebuffer:
         """Make a framebuffer that draws into `colours` and `depth`."""
-        return self._keep(self.ctx.framebuffer(tuple(colours), depth))
+        return self._store(lambda: self.ctx.framebuffer(tuple(colours), depth))
 
     def program(
         self, name: str, *, vertex: str | None = None, defines: Defines | None = None
@@ -248,13 +277,26 @@ class Device:
         shader.run(-(-size[0] // group[0]), -(-size[1] // group[1]))
         self.ctx.memory_barrier()
 
-    def _check_size(self, size: tuple[int, int]) -> None:
+    def check_size(
+        self,
+        size: tuple[int, int],
+        what: str = "a texture",
+        *,
+        file: Path | None = None,
+        remedy: str = memory.REMEDY,
+    ) -> None:
+        """Refuse a texture of (width, height) texels that the driver cannot hold.
+
+        Raises:
+            PhoslabError: a side is too long; the error names `what`, in `file`.
+        """
         largest = int(self.ctx.info["GL_MAX_TEXTURE_SIZE"])
         if not all(1 <= n <= largest for n in size):
             raise PhoslabError(
                 f"of {size[0]} x {size[1]} texels is more than this OpenGL driver can hold ({largest})",
-                field="a texture",
-                remedy="Ask for a smaller picture, atlas or supersampling.",
+                file=file,
+                field=what,
+                remedy=remedy,
             )
 
 
@@ -328,6 +370,8 @@ def source(name: str, defines: Defines) -> str:
 
 
 def _padded(data: NDArray[Any] | None, shape: tuple[int, ...], components: int, dtype: str) -> NDArray[Any]:
+    if data is not None and data.shape == (*shape, components):
+        return np.ascontiguousarray(data, dtype=_stored(dtype))
     texels = np.zeros((*shape, components), dtype=_stored(dtype))
     if data is not None:
         texels[..., : data.shape[-1]] = data

@@ -28,6 +28,10 @@ SUPPORTED_EXTENSIONS = {"KHR_lights_punctual", "KHR_materials_unlit", "KHR_mesh_
 MAX_DEPTH = 256  # of the node hierarchy; a deeper one is a cycle or an attack
 MAX_IMAGE_PIXELS = 1 << 26
 
+# Linear from encoded 8-bit sRGB (IEC 61966-2-1).
+_CODES = np.arange(256) / 255.0
+LINEAR = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
 # In m: farther from the origin, float32 loses the squares of distances; smaller, their inverses.
 FARTHEST_M, SMALLEST_SCALE = 1e9, 1e-9
 # The volume of a node's axes, each brought to length 1: below this they lie in a plane.
@@ -285,11 +289,12 @@ class _Reader:
                 raise self.buffers.error(f"materials[{index}]", "has a base colour outside 0..1")
             colour = factor[None, None, :]
             if texture is not None:
-                colour = colour * self._image(self.buffers.pick("textures", texture.index).source)
-            self._colours[index] = colour.astype(np.float32)
+                image = self._image(self.buffers.pick("textures", texture.index).source)
+                colour = np.multiply(image, colour, out=image)
+            self._colours[index] = colour.astype(np.float32, copy=False)
         return self._colours[index]
 
-    def _image(self, index: int) -> NDArray[np.float64]:
+    def _image(self, index: int) -> NDArray[np.float32]:
         """Return (h, w, 3) linear sRGB of an image; its first row is v = 0, as glTF counts."""
         from PIL import Image, UnidentifiedImageError
 
@@ -298,16 +303,12 @@ class _Reader:
             with Image.open(io.BytesIO(encoded)) as image:
                 if image.width * image.height > MAX_IMAGE_PIXELS:
                     raise self.buffers.error(f"images[{index}]", "is too large", "Use at most 64 megapixels.")
-                encoded_rgb = np.asarray(image.convert("RGB"), dtype=np.float64) / 255.0
+                rgb: NDArray[np.float32] = LINEAR[np.asarray(image.convert("RGB"))]
+                return rgb
         except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
             raise self.buffers.error(
                 f"images[{index}]", f"cannot be read ({error})", "Save it again as PNG or JPEG."
             ) from error
-        # IEC 61966-2-1.
-        linear: NDArray[np.float64] = np.where(
-            encoded_rgb <= 0.04045, encoded_rgb / 12.92, ((encoded_rgb + 0.055) / 1.055) ** 2.4
-        )
-        return linear
 
     def _camera(self, index: int, name: str, to_world: Matrix) -> list[GltfCamera]:
         camera = self.buffers.pick("cameras", index)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import moderngl
 import numpy as np
@@ -12,7 +13,7 @@ from phoslab.render.atlas import Atlas, make_atlas
 from phoslab.render.device import Device
 from phoslab.render.geometry import Geometry, bounds
 from phoslab.render.optics import Optics, to_layers
-from phoslab.render.scene import Drawable, Scene
+from phoslab.render.scene import Drawable, Phosphor, Scene
 
 Array = NDArray[np.float64]
 
@@ -82,6 +83,7 @@ def upload(device: Device, scene: Scene) -> tuple[GpuDrawable, ...]:
             if key not in atlases:
                 atlases[key] = make_atlas(device, geometry, drawable.phosphor.atlas_texels)
             geometry, atlas_size = atlases[key].geometry, atlases[key].size
+            _check_maps(device, drawable.phosphor)
             material = _upload_material(device, drawable.phosphor.optics)
         if id(geometry) not in meshes:
             meshes[id(geometry)] = _upload_mesh(device, geometry)
@@ -115,6 +117,24 @@ def _upload_mesh(device: Device, geometry: Geometry) -> MeshBuffers:
     )
 
 
+def _check_maps(device: Device, phosphor: Phosphor) -> None:
+    """Refuse a material's map that the driver cannot hold by its file."""
+    material, optics = phosphor.material, phosphor.optics
+    fields = {
+        "kr_per_s": optics.kr_per_s,
+        "ke_m2_per_J": optics.ke_width,
+        "emission": optics.emission,
+        "albedo": optics.albedo,
+    }
+    for field, name in material.maps.items():
+        values = fields[field]
+        assert values is not None
+        file = (material.folder or Path()) / name
+        device.check_size(
+            (values.shape[1], values.shape[0]), f"the map of {field}", file=file, remedy="Use a smaller map."
+        )
+
+
 def _upload_material(device: Device, optics: Optics) -> MaterialTextures:
     def layered(values: Array) -> moderngl.TextureArray:
         h, w, n_c, _ = values.shape
@@ -132,6 +152,8 @@ def _upload_material(device: Device, optics: Optics) -> MaterialTextures:
 
 
 def _upload_reflectance(device: Device, drawable: Drawable) -> moderngl.TextureArray:
+    h, w = drawable.reflectance.shape[:2]
+    device.check_size((w, h), f"the texture of {drawable.name!r}", remedy="Use a smaller texture.")
     layers = to_layers(drawable.reflectance)
     own = drawable.phosphor is not None and drawable.phosphor.optics.albedo is not None
     # glTF textures repeat; a material's map ends with its surface.

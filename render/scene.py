@@ -30,6 +30,7 @@ from phoslab.render.schedule import Schedule
 from phoslab.render.units import Claim, Units, settle_units
 
 Array = NDArray[np.float64]
+Texels = NDArray[np.float32]
 
 SCHEMA = "phoslab-scene/1"
 
@@ -67,13 +68,13 @@ class Drawable:
 
     Args:
         name: of the node, or of its mesh where the node has none.
-        reflectance: (h, w, K) in [0, 1]; 1 x 1 where there is no texture.
+        reflectance: (h, w, K) float32 in [0, 1]; 1 x 1 where there is no texture.
     """
 
     name: str
     geometry: Geometry
     model_to_world: Array
-    reflectance: Array
+    reflectance: Texels
     phosphor: Phosphor | None = None
 
 
@@ -176,6 +177,14 @@ def _refuse_nonfinite(value: Any, field: str, file: Path) -> None:
     elif isinstance(value, list):
         for k, item in enumerate(value):
             _refuse_nonfinite(item, f"{field}[{k}]", file)
+
+
+def _reflectance(rgb: Texels, transport: Bands) -> Texels:
+    """Return (h, w, K) reflectances of (h, w, 3) colours, row by row: float64 of a large texture fills a memory."""
+    texels = np.empty((*rgb.shape[:2], transport.n), dtype=np.float32)
+    for into, row in zip(texels, rgb, strict=True):
+        into[:] = colorimetry.reflectance_from_rgb(row, transport)
+    return texels
 
 
 class _Loader:
@@ -372,11 +381,11 @@ class _Loader:
             share = lost / total
             self.warnings.append(f"{share:.1%} of the glow of {name!r} lies outside the scene's bands")
 
-    def _check_energy(self, name: str, material: Material, reflectance: Array, transport: Bands) -> None:
+    def _check_energy(self, name: str, material: Material, reflectance: Texels, transport: Bands) -> None:
         """Report an absolute material that gives more than what its reflection leaves it to take."""
         if material.calibration != "absolute":
             return
-        mean = spectral.rebin(reflectance.mean(axis=(0, 1)), transport, material.bands)
+        mean = spectral.rebin(reflectance.mean(axis=(0, 1), dtype=np.float64), transport, material.bands)
         excess = material.excess_emission(mean)
         if excess.any():
             band = int(np.argmax(excess))
@@ -386,16 +395,16 @@ class _Loader:
             )
 
     def _drawables(self, phosphors: Mapping[str, Phosphor], transport: Bands) -> tuple[Drawable, ...]:
-        reflectances: dict[int, Array] = {}
+        reflectances: dict[int, Texels] = {}
         drawables = []
         for instance in self.model.instances:
             phosphor = phosphors.get(instance.node) or phosphors.get(instance.mesh)
             key = id(instance.base_colour)
             if key not in reflectances:
-                reflectances[key] = colorimetry.reflectance_from_rgb(instance.base_colour, transport)
+                reflectances[key] = _reflectance(instance.base_colour, transport)
             reflectance = reflectances[key]
             if phosphor is not None and phosphor.optics.albedo is not None:
-                reflectance = phosphor.optics.albedo
+                reflectance = phosphor.optics.albedo.astype(np.float32)
             name = instance.node or instance.mesh
             if phosphor is not None:
                 self._check_energy(name, phosphor.material, reflectance, transport)
@@ -408,7 +417,7 @@ class _Loader:
         return tuple(drawables)
 
     def _check_uv(
-        self, name: str, instance: GltfInstance, reflectance: Array, phosphor: Phosphor | None
+        self, name: str, instance: GltfInstance, reflectance: Texels, phosphor: Phosphor | None
     ) -> None:
         varies = reflectance.shape[:2] != (1, 1) or (phosphor is not None and bool(phosphor.material.maps))
         if varies and instance.geometry.uv is None:
