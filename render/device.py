@@ -180,23 +180,25 @@ class Device:
         data: NDArray[Any] | None = None,
         *,
         components: int = 4,
+        dtype: str = "f4",
         linear: bool = False,
         repeat: bool = False,
     ) -> moderngl.TextureArray:
-        """Make a float32 array texture; without `data` it is all 0.
+        """Make an array texture; without `data` it is all 0.
 
         Args:
             size: (width, height) in texels.
             layers: how many.
             components: 1..4; 3 become 4.
             data: (layers, height, width, components).
+            dtype: "f4" or "f2".
             linear, repeat: as for `texture`.
         """
         n = RENDERABLE[components]
         self.check_size(size)
-        memory.check_room(size[0] * size[1] * layers * n * 4, "a texture")
-        texels = _padded(data, (layers, size[1], size[0]), n, "f4")
-        texture = self._store(lambda: self.ctx.texture_array((*size, layers), n, texels, dtype="f4"))
+        memory.check_room(size[0] * size[1] * layers * n * np.dtype(dtype).itemsize, "a texture")
+        texels = _padded(data, (layers, size[1], size[0]), n, dtype)
+        texture = self._store(lambda: self.ctx.texture_array((*size, layers), n, texels, dtype=dtype))
         return _sampled(texture, linear, repeat)
 
     def depth_texture(self, size: tuple[int, int]) -> moderngl.Texture:

@@ -158,5 +158,10 @@ def _upload_reflectance(device: Device, drawable: Drawable) -> moderngl.TextureA
     own = drawable.phosphor is not None and drawable.phosphor.optics.albedo is not None
     # glTF textures repeat; a material's map ends with its surface.
     return device.texture_array(
-        (layers.shape[2], layers.shape[1]), len(layers), layers, linear=True, repeat=not own
+        (layers.shape[2], layers.shape[1]),
+        len(layers),
+        layers,
+        dtype="f2" if layers.dtype == np.float16 else "f4",
+        linear=True,
+        repeat=not own,
     )

@@ -101,7 +101,7 @@ def pack_lights(
 def pack_spectra(lights: Sequence[Light], n_bands: int) -> NDArray[np.float32]:
     """Return (n_lights, layers, 4) each light's band-mean irradiance at 1 m."""
     values = np.array([light.irradiance_at_1m for light in lights]).reshape(-1, 1, n_bands)
-    return to_layers(values)[:, :, 0].transpose(1, 0, 2).copy()
+    return to_layers(values)[:, :, 0].transpose(1, 0, 2).astype(np.float32)
 
 
 def look_along(eye: Array, direction: Array) -> Array:

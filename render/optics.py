@@ -18,7 +18,7 @@ from phoslab.maps import load_maps
 from phoslab.material import Material
 
 Array = NDArray[np.float64]
-Texels = NDArray[np.float32]
+Texels = NDArray[np.float32] | NDArray[np.float16]
 
 # What the shaders' float32 holds with all products of it: beyond, a picture would be of infinities.
 LARGEST_KR_PER_S = 1e6
@@ -32,11 +32,17 @@ def layer_count(n_bands: int) -> int:
 
 
 def to_layers(values: ArrayLike) -> Texels:
-    """Return (layers, h, w, 4) of (h, w, K): the layout of every spectral array texture, padded with 0."""
-    texels = np.asarray(values, dtype=np.float32)
+    """Return (layers, h, w, 4) of (h, w, K): the layout of every spectral array texture, padded with 0.
+
+    float16 stays; all else becomes float32.
+    """
+    texels = np.asarray(values)
+    texels = texels if texels.dtype == np.float16 else texels.astype(np.float32, copy=False)
     h, w, n = texels.shape
-    padded = np.zeros((h, w, 4 * layer_count(n)), dtype=np.float32)
-    padded[..., :n] = texels
+    padded = texels
+    if n % 4:
+        padded = np.zeros((h, w, 4 * layer_count(n)), dtype=texels.dtype)
+        padded[..., :n] = texels
     return np.ascontiguousarray(padded.reshape(h, w, -1, 4).transpose(2, 0, 1, 3))
 
 

@@ -25,12 +25,11 @@ from phoslab.material import Material
 from phoslab.render.geometry import Geometry
 from phoslab.render.gltf import GltfCamera, GltfInstance, GltfLight, GltfModel, load_gltf
 from phoslab.render.light_course import parse_course
-from phoslab.render.optics import Optics, load_optics
+from phoslab.render.optics import Optics, Texels, load_optics
 from phoslab.render.schedule import Schedule
 from phoslab.render.units import Claim, Units, settle_units
 
 Array = NDArray[np.float64]
-Texels = NDArray[np.float32]
 
 SCHEMA = "phoslab-scene/1"
 
@@ -68,7 +67,7 @@ class Drawable:
 
     Args:
         name: of the node, or of its mesh where the node has none.
-        reflectance: (h, w, K) float32 in [0, 1]; 1 x 1 where there is no texture.
+        reflectance: (h, w, K) float32, or float16 where it is a texture, in [0, 1]; 1 x 1 where there is no texture.
     """
 
     name: str
@@ -179,9 +178,13 @@ def _refuse_nonfinite(value: Any, field: str, file: Path) -> None:
             _refuse_nonfinite(item, f"{field}[{k}]", file)
 
 
-def _reflectance(rgb: Texels, transport: Bands) -> Texels:
-    """Return (h, w, K) reflectances of (h, w, 3) colours, row by row: float64 of a large texture fills a memory."""
-    texels = np.empty((*rgb.shape[:2], transport.n), dtype=np.float32)
+def _reflectance(rgb: NDArray[np.float32], transport: Bands) -> Texels:
+    """Return (h, w, K) reflectances of (h, w, 3) colours, row by row: float64 of a large texture fills a memory.
+
+    A texture becomes float16: its 8 bits are coarser. A plain colour stays exact.
+    """
+    dtype = np.float32 if rgb.shape[:2] == (1, 1) else np.float16
+    texels: Texels = np.empty((*rgb.shape[:2], transport.n), dtype=dtype)
     for into, row in zip(texels, rgb, strict=True):
         into[:] = colorimetry.reflectance_from_rgb(row, transport)
     return texels

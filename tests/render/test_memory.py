@@ -59,8 +59,8 @@ def test_a_map_too_wide_for_the_driver_is_named(lit, refuses):
     assert "the map of kr_per_s of 20000 x 1 texels" in message
 
 
-def test_a_texture_costs_little_more_than_its_bands(lit, device):
-    """Three colours and eight bands in float32 are 44 bytes a texel; the G-buffer's part is small here."""
+def test_a_texture_costs_little_more_than_its_bands(lit):
+    """Three colours in float32 and eight bands in float16 are 28 bytes a texel; the decoder takes some for a while."""
     side = 1024
     Image.effect_noise((side, side), 50).convert("RGB").save(lit.folder / "t.png")
     lit.gltf["images"], lit.gltf["textures"] = [{"uri": "t.png"}], [{"source": 0}]
@@ -72,4 +72,4 @@ def test_a_texture_costs_little_more_than_its_bands(lit, device):
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert scene.drawables[0].reflectance.shape == (side, side, 8)
-    assert peak < 60 * side * side
+    assert peak < 36 * side * side
