@@ -173,7 +173,8 @@ class PhosphorState:
         step = self._stepping.step_s
         n = int(np.floor((segment.end_s - segment.start_s) / step + NEGLIGIBLE_SHARE))
         edges = [segment.start_s + k * step for k in range(n + 1)]
-        if segment.end_s - edges[-1] > NEGLIGIBLE_SHARE * step:
+        # A share of the segment where that is shorter: a step of an age must not swallow it.
+        if segment.end_s - edges[-1] > NEGLIGIBLE_SHARE * min(step, segment.end_s - segment.start_s):
             return pairwise(edges), [(edges[-1], segment.end_s)]
         return pairwise([*edges[:-1], segment.end_s]), []
 

@@ -40,3 +40,11 @@ def test_the_step_that_is_advised_then_works(two, refuses):
     message = refuses(render, path, ["40"], solver="euler", step_s=1e6, size=(4, 4))
     advised = float(re.search(r"Step by (\S+) s or less", message)[1])
     assert render(path, ["40"], solver="euler", step_s=advised, size=(4, 4))
+
+
+def test_a_step_of_an_age_swallows_no_time(quad, lamp_toml, green_toml, refuses):
+    """What is left of a stretch counts, however small a share of the step it is."""
+    path = quad.lamp().text(lamp_toml + green_toml).write()
+    assert "overshoots" in refuses(render, path, ["9"], solver="euler", step_s=1e12)
+    exact, rk23 = (render(path, ["9"], solver=s, step_s=1e12, size=(4, 4))[0] for s in ("exact", "rk23"))
+    np.testing.assert_allclose(rk23.radiance, exact.radiance, rtol=1e-3)
