@@ -1,6 +1,7 @@
 """What `phoslab fit`, `export` and the command line itself refuse, and how."""
 
 import os
+import shlex
 import subprocess
 import sys
 from importlib.resources import as_file, files
