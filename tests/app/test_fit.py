@@ -74,7 +74,7 @@ def test_a_full_disk_behind_stdout_is_one_sentence():
 
 def test_closed_streams_are_no_bug():
     done = subprocess.run(
-        f"{sys.executable} -m phoslab presets >&-",
+        f"{shlex.quote(sys.executable)} -m phoslab presets >&-",
         shell=True,
         stderr=subprocess.PIPE,
         timeout=120,
