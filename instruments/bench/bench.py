@@ -6,6 +6,7 @@ everything that happens is a function of the bench and its seed, so the same see
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -247,20 +248,20 @@ def _next_step(bench: Bench, values: NDArray[np.uint16], step: int, largest_sign
 
 
 def _switch_lamp(recorder: Recorder, bench: Bench, on: bool) -> float:
-    to = "on" if on else "off"
-    command = recorder.command("lamp", "set", {"to": to})
-    at_s = bench.switch_lamp(on)
+    return _set(recorder, bench, "lamp", "on" if on else "off", lambda: bench.switch_lamp(on))
+
+
+def _move_door(recorder: Recorder, bench: Bench, to_open: bool) -> float:
+    return _set(recorder, bench, "door", "open" if to_open else "closed", lambda: bench.move_door(to_open))
+
+
+def _set(recorder: Recorder, bench: Bench, device: str, to: str, act: Callable[[], float]) -> float:
+    """Command, act, acknowledge and record the edge; return when it happened."""
+    command = recorder.command(device, "set", {"to": to})
+    at_s = act()
     recorder.ack(command, ok=True, reply="OK")
-    recorder.edge("lamp", to, at_mono_s=at_s, at_device_s=bench.clock.device_at(at_s))
+    recorder.edge(device, to, at_mono_s=at_s, at_device_s=bench.clock.device_at(at_s))
     return at_s
-
-
-def _move_door(recorder: Recorder, bench: Bench, to_open: bool) -> None:
-    to = "open" if to_open else "closed"
-    command = recorder.command("door", "set", {"to": to})
-    at_s = bench.move_door(to_open)
-    recorder.ack(command, ok=True, reply="OK")
-    recorder.edge("door", to, at_mono_s=at_s, at_device_s=bench.clock.device_at(at_s))
 
 
 def _frame(recorder: Recorder, bench: Bench, role: str, exposure_s: float, iso: int) -> NDArray[np.uint16]:
