@@ -22,28 +22,15 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import tomli_w
 
 from phoslab import journal, schemas
 from phoslab.errors import PhoslabError
 from phoslab.files import sha256, write_text
+from phoslab.instruments.devices import Clock
 from phoslab.session import SCHEMA
-
-
-@runtime_checkable
-class Clock(Protocol):
-    """The three clocks that stamp a journal line."""
-
-    def mono_s(self) -> float:
-        """Seconds of a clock that never goes back."""
-
-    def device_s(self) -> float | None:
-        """Seconds of the rig controller's own clock, or None if there is none."""
-
-    def wall(self) -> datetime:
-        """The moment in UTC, which may jump when somebody sets the clock."""
 
 
 class SystemClock:
@@ -60,6 +47,10 @@ class SystemClock:
     def wall(self) -> datetime:
         """Now, in UTC."""
         return datetime.now(UTC)
+
+    def sleep_until(self, mono_s: float) -> None:
+        """Sleep until `time.monotonic()` says so."""
+        time.sleep(max(0.0, mono_s - time.monotonic()))
 
 
 class Recorder:

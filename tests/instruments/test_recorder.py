@@ -13,7 +13,8 @@ import pytest
 
 from phoslab.errors import PhoslabError
 from phoslab.instruments.bench.bench import SimulatedClock
-from phoslab.instruments.recorder import Clock, Recorder, SystemClock
+from phoslab.instruments.devices import Clock
+from phoslab.instruments.recorder import Recorder, SystemClock
 from phoslab.session import Session
 
 HEADER = {
