@@ -7,20 +7,24 @@
         recorder.edge("lamp", "off", at_mono_s=t)
         recorder.frame(camera.save, suffix="dng", role="decay", at_mono_s=t, exposure_s=0.5, iso=100, f_number=2.8)
 
-Leaving the block closes the session: `complete`, or `interrupted` if an exception went through.
+Leaving the block closes the session: `complete`, or `interrupted` if an exception went through. `Recorder.resume` goes
+on with one that was interrupted, or whose writer died. As long as a recorder is open no other can be, in any process.
 phoslab.session reads what this writes; docs/formats-session.md describes it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from statistics import median
 from types import TracebackType
 from typing import Any
 
@@ -28,9 +32,9 @@ import tomli_w
 
 from phoslab import journal, schemas
 from phoslab.errors import PhoslabError
-from phoslab.files import sha256, write_text
+from phoslab.files import sha256, umask, write_text
 from phoslab.instruments.devices import Clock
-from phoslab.session import SCHEMA
+from phoslab.session import SCHEMA, Session
 
 
 class SystemClock:
@@ -68,34 +72,143 @@ class Recorder:
     """
 
     def __init__(self, path: str | os.PathLike[str], header: Mapping[str, Any], clock: Clock) -> None:
-        self.path = Path(path)
-        self._clock = clock
-        self._seq = 0
-        self._n_frames = 0
+        self._prepare(Path(path), clock)
         whole = {"schema": SCHEMA, "started": _rfc3339(clock.wall()), **header}
         schemas.check(whole, "session-1", file=self.path / "session.toml")
+        check_free(self.path)
         try:
-            if self.path.is_symlink() or (
-                self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir()))
-            ):
-                raise PhoslabError(
-                    "already exists",
-                    file=self.path,
-                    remedy="Name a new folder: a session is never overwritten.",
-                )
-            self._frames = self.path / "frames"
-            self._frames.mkdir(parents=True)
-            write_text(self.path / "session.toml", tomli_w.dumps(whole))
-            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
-            self._journal: int | None = os.open(self.path / "journal.jsonl", flags, 0o666)
-            _sync_folder(self.path)
+            self._create(whole)
         except OSError as error:
             raise PhoslabError(
                 f"cannot be created ({error.strerror})",
                 file=self.path,
                 remedy="Choose a folder that you may write to.",
             ) from error
-        self._write("begin", {"schema": journal.SCHEMA})
+
+    @classmethod
+    def resume(cls, path: str | os.PathLike[str], clock: Clock, *, reason: str = "resumed") -> Recorder:
+        """Go on with a session that was interrupted, or whose writer died; see docs/formats-session.md.
+
+        Half a last line is cut off, files that no line names are moved to `unlisted/`, and the session's monotonic
+        time goes on from its last line by as much as the wall clock says has passed.
+
+        Raises:
+            PhoslabError: it is complete, damaged, in use by another process, or no session.
+        """
+        recorder = cls.__new__(cls)
+        recorder._prepare(Path(path), clock)
+        lines = recorder.path / "journal.jsonl"
+        try:
+            # Locked before it is read: until then its writer may live.
+            recorder._journal = os.open(lines, os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW)
+            lock(recorder._journal, recorder.path)
+        except OSError as error:
+            raise PhoslabError(
+                f"cannot be opened ({error.strerror})",
+                file=lines,
+                remedy="Name the folder of a session that you may write to.",
+            ) from error
+        try:
+            recorder._continue(reason)
+        except BaseException:
+            recorder.abandon()
+            raise
+        return recorder
+
+    def _prepare(self, path: Path, clock: Clock) -> None:
+        self.path = path
+        self._frames = path / "frames"
+        self._clock = clock
+        self._journal: int | None = None
+        self._seq = 0
+        self._n_frames = 0  # the number of the next one
+        self._n_kept = 0
+        self._offset_s = 0.0
+        self._deviations_s: list[float] = []
+
+    def _create(self, header: Mapping[str, Any]) -> None:
+        """Write the beginning under another name and rename it: a session is whole, with its first line, or absent."""
+        target = self.path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        building = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+        try:
+            building.chmod(0o777 & ~umask())
+            self.path, self._frames = building, building / "frames"
+            self._frames.mkdir()
+            write_text(building / "session.toml", tomli_w.dumps(header))
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
+            self._journal = os.open(building / "journal.jsonl", flags, 0o666)
+            lock(self._journal, target)
+            self.path, self._frames = target, target / "frames"
+            self._write("begin", {"schema": journal.SCHEMA})
+            _sync_folder(building)
+            building.rename(target)  # onto an empty folder, too, but never onto one that holds something
+            _sync_folder(target.parent)
+        except BaseException:
+            self.abandon()
+            shutil.rmtree(building, ignore_errors=True)
+            if os.path.lexists(target):
+                check_free(target)
+            raise
+
+    def _continue(self, reason: str) -> None:
+        assert self._journal is not None
+        lines = self.path / "journal.jsonl"
+        content = lines.read_bytes()
+        whole = content.rfind(b"\n") + 1
+        session = Session.open(self.path)
+        if session.complete:
+            raise PhoslabError(
+                "is complete",
+                file=self.path,
+                remedy="There is nothing to resume; measure into a new folder.",
+            )
+        notes = [reason]
+        if whole < len(content):
+            os.ftruncate(self._journal, whole)
+            notes.append(f"{len(content) - whole} bytes of a half-written line were cut off")
+        notes += self._put_aside({frame.name for frame in session.frames})
+        last = session.events[-1]
+        passed_s = (self._clock.wall() - datetime.fromisoformat(last.wall)).total_seconds()
+        self._offset_s = last.mono_s + max(0.0, passed_s) - self._clock.mono_s()
+        self._seq = last.seq + 1
+        self._n_kept = len(session.frames)
+        self._n_frames = 1 + max((int(Path(frame.name).stem) for frame in session.frames), default=-1)
+        self._deviations_s = [
+            e.fields["at_mono_s"] - e.fields["planned_mono_s"]
+            for e in session.events
+            if "planned_mono_s" in e.fields
+        ]
+        self._write("resume", {"reason": "; ".join(notes)})
+
+    def _put_aside(self, known: set[str]) -> list[str]:
+        """Move what the journal does not name out of frames/, keeping it; say what was moved.
+
+        A crash between saving a frame and writing its line leaves a whole frame, one while saving it a part.
+        """
+        extra = sorted(p.name for p in self._frames.iterdir() if p.name not in known)
+        aside = self.path / "unlisted"
+        for name in extra:
+            aside.mkdir(exist_ok=True)
+            target = aside / name
+            n = 1
+            while os.path.lexists(target):
+                target = aside / f"{Path(name).stem}-{n}{Path(name).suffix}"
+                n += 1
+            (self._frames / name).rename(target)
+        if extra:
+            _sync_folder(aside)
+            _sync_folder(self._frames)
+        return [f"{name} has no line and was moved to unlisted/" for name in extra]
+
+    def mono_s(self) -> float:
+        """Now, in s of the session's monotonic clock, which goes on where an interruption left it."""
+        return self._clock.mono_s() + self._offset_s
+
+    @property
+    def offset_s(self) -> float:
+        """What to add to the clock's `mono_s` for the session's; the times that methods take are the session's."""
+        return self._offset_s
 
     def __enter__(self) -> Recorder:
         return self
@@ -138,6 +251,8 @@ class Recorder:
         iso: float,
         f_number: float | None,
         at_device_s: float | None = None,
+        planned_mono_s: float | None = None,
+        start_uncertainty_s: float | None = None,
         suffix: str = "dng",
     ) -> str:
         """Save one exposure and write its line; return its name in frames/.
@@ -149,6 +264,8 @@ class Recorder:
             role: dark, flat, mercury, led, filter:NAME, lamp, emission, decay or excitation.
             at_mono_s, at_device_s: when the shutter opened.
             exposure_s, iso, f_number: the settings; None for a lens that does not report its aperture.
+            planned_mono_s: when it should have opened; None if no moment was planned.
+            start_uncertainty_s: by how much `at_mono_s` may be off; None if nobody knows.
             suffix: of the name: what the camera writes (dng, CR2, NEF).
         """
         name = f"{self._n_frames:04d}.{suffix}"
@@ -164,6 +281,10 @@ class Recorder:
             "sha256": "0" * 64,
             "bytes": 0,
         }
+        if planned_mono_s is not None:
+            line["planned_mono_s"] = _us(planned_mono_s)
+        if start_uncertainty_s is not None:
+            line["start_uncertainty_s"] = _us(start_uncertainty_s)
         self._checked("exposure", line)  # before a file lies there that no line will name
         if target.exists():
             raise PhoslabError(
@@ -181,6 +302,9 @@ class Recorder:
             temporary.unlink(missing_ok=True)
         self._n_frames += 1
         self._write("exposure", line)
+        self._n_kept += 1
+        if planned_mono_s is not None:
+            self._deviations_s.append(at_mono_s - planned_mono_s)
         if isinstance(source, Path):
             source.unlink()  # last: until here a crash loses nothing
         return name
@@ -201,20 +325,36 @@ class Recorder:
             ) from error
         return facts
 
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What the session has come to: frames, and how far their exposures began from the planned instants."""
+        late_s = self._deviations_s
+        return {
+            "frames": self._n_kept,
+            "planned": len(late_s),
+            "deviation_median_s": _us(median(map(abs, late_s))) if late_s else None,
+            "deviation_worst_s": _us(max(late_s, key=abs)) if late_s else None,
+        }
+
     def close(self, reason: str) -> None:
-        """Write the last line, `complete` or `interrupted`; closing twice is harmless."""
+        """Write the last line, `complete` or `interrupted`, with the summary; closing twice is harmless."""
         if self._journal is None:
             return
         try:
-            self._write("end", {"reason": reason})
+            self._write("end", {"reason": reason, "summary": self.summary})
         finally:
-            os.close(self._journal)
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Let the session go without a last line, as a crash would."""
+        if self._journal is not None:
+            os.close(self._journal)  # which unlocks it
             self._journal = None
 
     def _checked(self, event: str, fields: Mapping[str, Any]) -> dict[str, Any]:
         line = {
             "seq": self._seq,
-            "mono_s": _us(self._clock.mono_s()),
+            "mono_s": _us(self.mono_s()),
             "device_s": _us(self._clock.device_s()),
             "wall": _rfc3339(self._clock.wall()),
             "event": event,
@@ -246,6 +386,56 @@ class Recorder:
             ) from error
         self._seq += 1
         return self._seq - 1
+
+
+def check_free(path: Path) -> None:
+    """Refuse a place where a session lies already, or anything else.
+
+    Raises:
+        PhoslabError: it exists and is no empty folder, or cannot be looked at.
+    """
+    try:
+        taken = path.is_symlink() or (path.exists() and (not path.is_dir() or any(path.iterdir())))
+    except OSError as error:
+        raise PhoslabError(
+            f"cannot be looked at ({error.strerror})",
+            file=path,
+            remedy="Choose a folder that you may write to.",
+        ) from error
+    if taken:
+        raise PhoslabError(
+            "already exists",
+            file=path,
+            remedy="Name a new folder: a session is never overwritten. phoslab resume goes on with an interrupted one.",
+        )
+
+
+def lock(handle: int, path: Path) -> None:
+    """Lock an open file for this process, until it is closed or the process ends, however it ends.
+
+    Raises:
+        PhoslabError: another process has it; the error names that.
+    """
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise PhoslabError(
+            f"is in use by {_holder(handle)}",
+            file=path,
+            remedy="Wait until it is done, or stop it (Ctrl-C leaves the session whole).",
+        ) from None
+
+
+def _holder(handle: int) -> str:
+    """Name the process that has locked a file, where the system tells."""
+    status = os.fstat(handle)
+    this = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/locks").read_text().splitlines():
+            words = line.split()  # "1: FLOCK  ADVISORY  WRITE 4242 fe:00:131 0 EOF"
+            if len(words) > 5 and words[1] == "FLOCK" and words[5] == this:
+                return f"process {words[4]}"
+    return "another process"
 
 
 def _us(seconds: float | None) -> float | None:

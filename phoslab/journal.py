@@ -15,7 +15,7 @@ from phoslab.files import inside
 
 SCHEMA = "phoslab-journal/1"
 
-ROLES = ("dark", "flat", "mercury", "led", "filter:NAME", "lamp", "emission", "decay", "excitation")
+ROLES = ("dark", "flat", "mercury", "led", "filter:NAME", "lamp", "emission", "decay", "excitation", "meter")
 
 WALL_JUMP_S = 1.0
 """A change of wall against monotonic time between two lines that is more than the clocks' own drift."""

@@ -1,0 +1,56 @@
+"""Find a setting at which light is well exposed: trial frames of the role `meter`, which no fit looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+from phoslab.instruments.devices import Exposure
+from phoslab.instruments.plans.ladder import Ladder
+from phoslab.instruments.plans.steps import Door, Lamp, Setup, Shoot, Shot, Step, Wait
+
+TRIALS = 8
+RECHARGE_S = 60.0
+"""Light between two trials on a glow; a trial takes some seconds of it."""
+
+_LOW, _HIGH = 0.15, 0.70
+
+
+def meter(ladder: Ladder, start: Exposure | None = None) -> Generator[Step, Any, Exposure]:
+    """Return the setting at which what the camera sees now is well exposed; the light must be steady."""
+    exposure = start if start in ladder.rungs else ladder.middle
+    for _ in range(TRIALS):
+        shot: Shot = yield Shoot("meter", exposure)
+        better = _better(ladder, shot)
+        if better == exposure:
+            return exposure
+        exposure = better
+    return exposure
+
+
+def meter_glow(ladder: Ladder, setup: Setup, start: Exposure | None = None) -> Generator[Step, Any, Exposure]:
+    """Return the setting for the first frame after lamp-off: the lamp goes off for each trial, and on again after it.
+
+    Every trial sees the glow just as the first frame will, so the fastest part of a decay cannot overexpose it.
+    """
+    exposure = start if start in ladder.rungs else ladder.middle
+    for _ in range(TRIALS):
+        off_s: float = yield Lamp("off")
+        yield Wait(setup.fade_s, "the lamp fades", since_s=off_s)
+        yield Door("open")
+        shot: Shot = yield Shoot("meter", exposure)
+        yield Door("closed")
+        yield Lamp("on")
+        yield Wait(RECHARGE_S, "charging again after a trial")
+        better = _better(ladder, shot)
+        if better == exposure:
+            return exposure
+        exposure = better
+    return exposure
+
+
+def _better(ladder: Ladder, shot: Shot) -> Exposure:
+    """The same setting if it serves, or if there is none that would do better."""
+    if shot.frame is None or _LOW <= shot.level <= _HIGH:
+        return shot.exposure
+    return ladder.aim(shot.exposure, shot.level)
