@@ -24,7 +24,15 @@ import numpy as np
 
 from phoslab import raw
 from phoslab.errors import PhoslabError
-from phoslab.instruments.devices import Camera, Clock, DeviceError, Exposure, Reading, Status
+from phoslab.instruments.devices import (
+    Camera,
+    Clock,
+    DeviceError,
+    DeviceTimeoutError,
+    Exposure,
+    Reading,
+    Status,
+)
 from phoslab.instruments.devices import Door as DoorDevice
 from phoslab.instruments.devices import Lamp as LampDevice
 from phoslab.instruments.history import PLAN, History, lost, reply_of
@@ -162,7 +170,17 @@ class Runner:
                         raise cause from None
                     self._recover(error.part, cause)
         finally:
-            self.lab.safe()
+            self._make_safe()
+
+    def _make_safe(self) -> None:
+        """Lamp off, door and camera stopped; the lamp's edge is recorded if that can be."""
+        self.lab.safe()
+        if self._lamp_on:
+            self._lamp_on, self._dark_since_s = False, self.recorder.mono_s()
+            with contextlib.suppress(PhoslabError, KeyError):
+                reading = self.lab.lamp.read()[self.lab.lamp.name]
+                if reading["value"] == "off":
+                    self._edge("lamp", "off", reading)
 
     def _go(self, steps: Plan) -> None:
         """Go through the plan once; raise _PartError where a device fails."""
@@ -399,6 +417,12 @@ class Runner:
                     raise
                 self.lab.watcher.trouble(str(error))
                 self._sleep(self.recorder.mono_s() + 0.5)
+            except OSError as error:
+                raise PhoslabError(
+                    f"could not be written ({error.strerror or error})",
+                    file=path,
+                    remedy="Make room on the disk, then go on with phoslab resume.",
+                ) from error
 
     def _restage_camera(self) -> None:
         self._exposure = None
@@ -430,10 +454,9 @@ class Runner:
         while not status.done and time.monotonic() < end_s:
             status.exception(timeout=SLICE_S)
             self.lab.interrupts.check()
-        if status.done:
-            status.wait(0)
-        else:
-            status.wait(0.001 if at_most_s < 0.001 else min(at_most_s, 0.001))
+        if not status.done:
+            raise DeviceTimeoutError(status.device, status.command, at_most_s)
+        status.wait(0)
 
     def _allow(self, at_least_s: float) -> None:
         if self._lamp_on or at_least_s == LAMP_S:
@@ -480,15 +503,10 @@ class Runner:
         lab = self.lab
         self.recorder.note(f"the part {part!r} failed and begins again: {error}")
         lab.watcher.trouble(f"{error} ({part!r} begins again)")
-        lab.safe()
-        if self._lamp_on:
-            self._dark_since_s = self.recorder.mono_s()
-        self._lamp_on, self._exposure, self._lost = False, None, 0
+        self._make_safe()
+        self._exposure, self._lost = None, 0
         for device in (lab.lamp, lab.door, lab.camera):
             self._return_of(device)
-        reading = lab.lamp.read()[lab.lamp.name]
-        if self._edges.get("lamp") == "on" and reading["value"] == "off":
-            self._edge("lamp", "off", reading)
 
     def _return_of(self, device: LampDevice | DoorDevice | Camera) -> None:
         """Stage a device again; wait for one that is gone.

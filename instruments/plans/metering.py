@@ -21,10 +21,9 @@ def meter(ladder: Ladder, start: Exposure | None = None) -> Generator[Step, Any,
     exposure = start if start in ladder.rungs else ladder.middle
     for _ in range(TRIALS):
         shot: Shot = yield Shoot("meter", exposure)
-        better = _better(ladder, shot)
-        if better == exposure:
-            return exposure
-        exposure = better
+        exposure, sure = _better(ladder, shot)
+        if sure:
+            break
     return exposure
 
 
@@ -42,15 +41,15 @@ def meter_glow(ladder: Ladder, setup: Setup, start: Exposure | None = None) -> G
         yield Door("closed")
         yield Lamp("on")
         yield Wait(RECHARGE_S, "charging again after a trial")
-        better = _better(ladder, shot)
-        if better == exposure:
-            return exposure
-        exposure = better
+        exposure, sure = _better(ladder, shot)
+        if sure:
+            break
     return exposure
 
 
-def _better(ladder: Ladder, shot: Shot) -> Exposure:
-    """The same setting if it serves, or if there is none that would do better."""
-    if shot.frame is None or _LOW <= shot.level <= _HIGH:
-        return shot.exposure
-    return ladder.aim(shot.exposure, shot.level)
+def _better(ladder: Ladder, shot: Shot) -> tuple[Exposure, bool]:
+    """What to take instead, and whether that is sure to serve: a frame far off the mark says little about how far."""
+    if shot.frame is None:
+        return shot.exposure, False
+    better = ladder.aim(shot.exposure, shot.level)
+    return better, _LOW <= shot.level <= _HIGH or better == shot.exposure
