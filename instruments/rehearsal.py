@@ -77,7 +77,12 @@ class Rehearsal:
         self._on_since_s: float | None = None
         self._dark_since_s = 0.0
         self._shooting: tuple[str, int, float, float] | None = None
+        self._waiting: tuple[str, int] | None = None  # what the last line waits for, and that line's number
         self.line = TimeLine()
+
+    def title(self, text: str) -> None:
+        """Put a heading into the time line."""
+        self._say(text)
 
     def run(self, plan: Plan) -> TimeLine:
         """Go through a plan; the time line goes on from the one before."""
@@ -135,7 +140,13 @@ class Rehearsal:
     def _wait(self, until_s: float, why: str) -> None:
         line = self.line
         if until_s - line.duration_s > 1.0:
-            self._say(f"{why}, {duration(until_s - line.duration_s)}")
+            if self._waiting == (why, len(line.entries) - 1):
+                # A series of waits with frames between (a warm-up) is one line, with its whole length.
+                begun_s = line.entries[-1].at_s
+                line.entries[-1] = Entry(begun_s, f"{why}, {duration(until_s - begun_s)}")
+            else:
+                self._say(f"{why}, {duration(until_s - line.duration_s)}")
+                self._waiting = (why, len(line.entries) - 1)
         line.duration_s = max(line.duration_s, until_s)
 
     def _shoot(self, step: Shoot) -> Shot:

@@ -150,7 +150,7 @@ class Rig:
     @classmethod
     def from_header(cls, rig: Mapping[str, Any]) -> Rig:
         """The rig that a session was begun with, from its header's `rig` table."""
-        data = {name: _plain(value) for name, value in rig.items() if name != "file"}
+        data = {name: plain(value) for name, value in rig.items() if name != "file"}
         return cls.of({"schema": SCHEMA, **data}, Path(rig["file"]) if "file" in rig else None)
 
 
@@ -224,11 +224,11 @@ def _needed(making: Making, kind: str, name: str) -> Any:
     return table[name]
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Read-only tables and tuples as the dicts and lists that they were."""
     if isinstance(value, Mapping):
-        return {name: _plain(item) for name, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, tuple) else value
+        return {name: plain(item) for name, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, tuple) else value
 
 
 def _hand_door(making: Making, table: Mapping[str, Any]) -> Door:

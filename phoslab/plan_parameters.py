@@ -188,9 +188,10 @@ def _value(plan: str, about: dataclasses.Field[Any], value: Any, file: Any) -> A
     if kind is not str:
         wanted = f"{'a whole number' if kind is int else 'a number'} of {low:g} or more"
     try:
-        if isinstance(value, bool) or (kind is str and not isinstance(value, str)):
+        if isinstance(value, bool):
             raise ValueError
-        read = kind(value)
+        # A list of one number is a number where it is typed.
+        read = kind(f"{value:g}" if kind is str and isinstance(value, int | float) else value)
         if kind is not str and (not math.isfinite(read) or read < low or read != float(value)):
             raise ValueError
         if choices and read not in choices:

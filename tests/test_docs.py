@@ -10,7 +10,10 @@ import pytest
 DOCS = sorted((Path(__file__).parent.parent / "docs").glob("*.md"))
 
 
-PACKAGES = ("", ".app", ".fitting", ".instruments", ".instruments.bench", ".presets", ".render", ".schemas")
+PACKAGES = (
+    *("", ".app", ".fitting", ".instruments", ".instruments.bench", ".instruments.plans", ".presets", ".render"),
+    ".schemas",
+)
 
 
 def _modules():

@@ -30,6 +30,10 @@ from phoslab.instruments.plans.steps import (
 )
 from phoslab.plan_parameters import Excitation
 
+GROWTH = 3.0
+"""What the next frame is exposed for, after a doubling. Light that comes twice as long brings twice the glow where
+all is linear; traps that fill one another make it more, and the frame before may have been taken a little late."""
+
 _REHEARSED_S = 120.0
 """Time in which a rehearsal's sample is excited."""
 
@@ -45,15 +49,14 @@ def excitation(p: Excitation, setup: Setup) -> Plan:
     while lit_s <= p.last_s * 1.001:
         shot = yield from _excite(p, setup, lit_s, len(signal), exposure, used)
         signal[lit_s] = shot.level / gain(shot.exposure)
-        # Twice the time brings at most twice the glow.
-        exposure = ladder.aim(shot.exposure, 2 * shot.level)
+        exposure = ladder.aim(shot.exposure, GROWTH * shot.level)
         if len(signal) > 1 and signal[lit_s] < (1 + p.change) * signal[lit_s / 2]:
             break
         lit_s *= 2
     for lit_s in _between(signal, p.between):
-        # The glow after a longer exposure is known: it is at least as bright.
+        # Less than the glow after the next longer exposure, which is known.
         brighter = min(t for t in signal if t > lit_s)
-        exposure = ladder.aim(Exposure(1.0, 100, None), signal[brighter])
+        exposure = ladder.aim(Exposure(1.0, 100, None), GROWTH / 2 * signal[brighter])
         shot = yield from _excite(p, setup, lit_s, len(signal), exposure, used)
         signal[lit_s] = shot.level / gain(shot.exposure)
     yield from dark_frames(used, p.darks)

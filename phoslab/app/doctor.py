@@ -27,6 +27,25 @@ import json, gphoto2
 print(json.dumps({"cameras": [[name, port] for name, port in gphoto2.Camera.autodetect()]}))
 """
 _PROBE_TIMEOUT_S = 60.0
+# Programs that take a camera or a port for themselves as soon as it is plugged in, and how to keep them from it.
+_RIVALS = {
+    "gvfs-gphoto2-vo": (
+        "gvfs holds every camera that is plugged in",
+        "systemctl --user mask --now gvfs-gphoto2-volume-monitor.service",
+    ),
+    "gvfsd-gphoto2": (
+        "gvfs has mounted the camera",
+        "eject the camera in the file manager, or: gio mount --unmount-scheme gphoto2",
+    ),
+    "ModemManager": (
+        "ModemManager talks to new serial ports, which resets a controller",
+        "sudo systemctl disable --now ModemManager.service",
+    ),
+    "brltty": (
+        "brltty takes CH340 serial adapters for Braille displays",
+        "sudo systemctl mask --now brltty-udev.service",
+    ),
+}
 _SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader")
 
 
@@ -58,15 +77,15 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({"ready": ready, "parts": [asdict(part) for part in parts]}, indent=2))
     else:
         for part in parts:
-            print(f"{part.name:<13}{part.state:<10}{_printable(part.found)}")
+            print(f"{part.name:<15}{part.state:<10}{_printable(part.found)}")
             if part.remedy:
-                print(f"{'':<23}-> {part.remedy}")
+                print(f"{'':<25}-> {part.remedy}")
     return 0 if ready else 1
 
 
 def examine() -> list[Part]:
     """Look at everything, the mandatory parts first."""
-    return [_python(), _phoslab(), _gl(), _machine(), _camera(), _serial_ports(), _reference()]
+    return [_python(), _phoslab(), _gl(), _machine(), _camera(), _serial_ports(), _rivals(), _reference()]
 
 
 def _python() -> Part:
@@ -126,7 +145,7 @@ def _camera() -> Part:
     from importlib.util import find_spec
 
     if find_spec("gphoto2") is None:
-        return Part("camera", "optional", "gphoto2 is not installed", "pip install gphoto2")
+        return Part("camera", "optional", "gphoto2 is not installed", 'pip install "phoslab[camera]"')
     answer, problem = _probe(_CAMERA_PROBE)
     if problem:
         return Part("camera", "optional", problem, "pip install --force-reinstall gphoto2")
@@ -134,7 +153,20 @@ def _camera() -> Part:
     if not cameras:
         remedy = "connect it by USB, switch it on, and close every other program that uses it"
         return Part("camera", "optional", "none connected", remedy, answer)
-    return Part("camera", "ok", "; ".join(f"{name} at {port}" for name, port in cameras), details=answer)
+    found = "; ".join(f"{name} at {port}" for name, port in cameras)
+    if not all(_may_open(port) for _, port in cameras):
+        remedy = "sudo apt-get install libgphoto2-6, whose udev rules let you open it; then plug it in again"
+        return Part("camera", "optional", f"{found}: not yours to open", remedy, answer)
+    return Part("camera", "ok", found, details=answer)
+
+
+def _may_open(port: str) -> bool:
+    """Whether this user may open a camera at "usb:001,004"; true where there is nothing to look at."""
+    import os
+
+    bus, _, device = port.removeprefix("usb:").partition(",")
+    node = f"/dev/bus/usb/{bus}/{device}"
+    return not os.path.exists(node) or os.access(node, os.R_OK | os.W_OK)  # noqa: PTH110  # pathlib is not loaded
 
 
 def _serial_ports() -> Part:
@@ -163,6 +195,29 @@ def _serial_ports() -> Part:
         remedy = 'sudo usermod -aG dialout "$USER", then log in again'
         return Part("serial ports", "optional", f"{found}: not yours to open", remedy, details)
     return Part("serial ports", "ok", found, details=details)
+
+
+def _rivals() -> Part:
+    """Other programs that grab what the rig needs."""
+    running = _running()
+    found = [_RIVALS[name] for name in _RIVALS if name in running]
+    if not found:
+        return Part("other programs", "ok", "none that takes cameras or serial ports for itself")
+    said, remedies = zip(*found, strict=True)
+    return Part("other programs", "optional", "; ".join(said), "; ".join(remedies))
+
+
+def _running() -> set[str]:
+    """Names of all running programs, as far as the system tells (cut to 15 characters)."""
+    from pathlib import Path
+
+    names = set()
+    for path in Path("/proc").glob("[0-9]*/comm"):
+        try:
+            names.add(path.read_text().strip())
+        except OSError:
+            continue  # it has ended meanwhile
+    return names
 
 
 def _reference() -> Part:

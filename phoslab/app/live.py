@@ -199,7 +199,7 @@ def plot(curve: list[tuple[float, float]], columns: int, rows: int) -> list[str]
     """Draw points as a small plot, the value on a logarithmic scale; nothing for fewer than two.
 
     >>> plot([(0, 1.0), (1, 0.1), (2, 0.01)], 3, 2)
-    ['█  ', '█▄▁', '0 to 2 s, brightness falls from 1 to 0.01']
+    ['█  ', '██▁', '0 to 2 s, brightness falls from 1 to 0.01']
     """
     import math
 

@@ -48,7 +48,7 @@ def test_a_driver_that_is_missing_crashes_or_hangs_is_said_and_exits_with_1(
     assert cli.main(["doctor"]) == 1
     told = capsys.readouterr().out
     assert said in told
-    assert "OpenGL       missing" in told
+    assert "OpenGL         missing" in told
 
 
 @pytest.mark.parametrize(("user", "command"), [(0, "apt-get install"), (1000, "sudo apt-get install")])
@@ -108,4 +108,31 @@ def test_a_connected_camera_is_named(
     monkeypatch.setattr("importlib.metadata.version", lambda name: "3.6")
     monkeypatch.setattr(doctor, "_CAMERA_PROBE", 'print(\'{"cameras": [["Nikon D750", "usb:001,004"]]}\')')
     cli.main(["doctor"])
-    assert "camera       ok        Nikon D750 at usb:001,004" in capsys.readouterr().out
+    assert "camera         ok        Nikon D750 at usb:001,004" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", doctor._RIVALS)
+def test_a_program_that_grabs_camera_or_port_is_named_with_the_command_that_stops_it(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(doctor, "_running", lambda: {"init", name})
+    cli.main(["doctor"])
+    told = capsys.readouterr().out
+    assert all(text in told for text in doctor._RIVALS[name])
+
+
+def test_running_programs_are_found_by_the_names_that_the_system_cuts() -> None:
+    """A kernel keeps 15 characters: a longer name would never match."""
+    assert Path("/proc/self/comm").read_text().strip() in doctor._running()
+    assert all(len(name) <= 15 for name in doctor._RIVALS)
+
+
+def test_a_camera_that_the_user_may_not_open_gets_the_remedy(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: object())
+    monkeypatch.setattr("importlib.metadata.version", lambda name: "3.6")
+    monkeypatch.setattr(doctor, "_may_open", lambda port: False)
+    monkeypatch.setattr(doctor, "_CAMERA_PROBE", 'print(\'{"cameras": [["Nikon D750", "usb:001,004"]]}\')')
+    cli.main(["doctor"])
+    assert "udev rules" in capsys.readouterr().out
