@@ -34,9 +34,11 @@ def flats(p: Flats, setup: Setup) -> Plan:
     for iso in setup.ladder.isos:
         yield Part(f"noise at ISO {iso:g}")
         yield from _light(setup)
-        ladder = Ladder(setup.ladder.exposures_s, (iso,), setup.ladder.f_numbers)
+        # The aperture is stopped down rather than leave no shorter times for the darker levels.
+        times_s = setup.ladder.exposures_s
+        ladder = Ladder(times_s[min(p.levels, len(times_s)) - 1 :], (iso,), setup.ladder.f_numbers)
         brightest = yield from meter(ladder, exposure and replace(exposure, iso=iso))
-        for exposure_s in _shorter(ladder, brightest, p.levels):
+        for exposure_s in _shorter(setup.ladder, brightest, p.levels):
             exposure = replace(brightest, exposure_s=exposure_s)
             used.add(exposure)
             for _ in range(2):
