@@ -1,0 +1,89 @@
+"""The simulated bench as a laboratory: the same drivers, plans and recorder as on a rig, and hands that never tire."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any
+
+from phoslab.instruments.bench import rig as bench_rig
+from phoslab.instruments.plans.steps import Stage
+from phoslab.instruments.rig import SCHEMA, Rig
+from phoslab.instruments.simulated import BenchClock, Hands, Link
+
+STATEMENT = "SIMULATED by the phoslab bench: no light was measured."
+
+FILTERS = ("R02", "R27", "R80")
+
+AWAY = timedelta(minutes=10)
+"""How much later it is on a bench that is started anew for a session that was interrupted."""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A bench that runs.
+
+    Args:
+        rig: how to reach its devices.
+        clock: its clock.
+        operator: its hands.
+        header: what session.toml says of it.
+    """
+
+    rig: Rig
+    clock: BenchClock
+    operator: BenchOperator
+    header: dict[str, Any]
+
+
+class BenchOperator:
+    """The `Operator` of the bench: does at once what is asked for."""
+
+    def __init__(self, hands: Hands) -> None:
+        self._hands = hands
+
+    def do(self, texts: list[str], stage: Stage | None, check: Callable[[], None]) -> None:
+        """See `Operator`."""
+        check()
+        if stage is not None:
+            self._hands.place(
+                target=stage.target,
+                lvf=stage.lvf,
+                filter=stage.filter,
+                light=stage.light,
+                angle_deg=stage.angle_deg,
+            )
+
+
+@contextmanager
+def started(sample: str, seed: int, faults: Sequence[str], not_before: str | None) -> Iterator[Simulation]:
+    """Start a bench and stop it at the end; it outlives this process for a while if that dies.
+
+    Args:
+        sample: a preset: what the sample looks like, and how long it glows.
+        seed: of all that is random.
+        faults: see docs/simulation.md.
+        not_before: wall time, RFC 3339, of the last line of a session that goes on.
+    """
+    at = None if not_before is None else datetime.fromisoformat(not_before) + AWAY
+    with bench_rig.start(sample, seed=seed, faults=tuple(faults), at=at) as bench:
+        clock = BenchClock(bench.folder, Link(bench.socket))
+        hands = Hands(Link(bench.socket))
+        rig = Rig.of(
+            {
+                "schema": SCHEMA,
+                "name": "bench",
+                "lamp": {"driver": "controller", "port": str(bench.port()), "max_on_s": 14400},
+                "door": {"driver": "controller", "port": str(bench.port())},
+                "camera": {"driver": "simulated", "port": str(bench.socket), "cycle_s": 0.5, "frame_MB": 0.2},
+                "filters": {"names": list(FILTERS)},
+            }
+        )
+        header = {
+            "operator": "nobody",
+            "sample": {"note": STATEMENT},
+            "simulated": {"statement": STATEMENT, "seed": seed, "sample": sample, "faults": list(faults)},
+        }
+        yield Simulation(rig, clock, BenchOperator(hands), header)
