@@ -86,7 +86,7 @@ class Link:
         """Send a request and return its answer; bytes that follow it stand under "body".
 
         Raises:
-            DeviceError: the bench refuses; `args[0]` has its words. The answer's "code" is the error's `code`.
+            RefusedError: the bench refuses, in its own words.
             DeviceGoneError: it is gone.
             DeviceTimeoutError: it does not answer within `PATIENCE_S`.
         """
@@ -114,7 +114,8 @@ class Link:
         if not answer.get("ok"):
             raise RefusedError(
                 str(answer.get("problem")),
-                field=self.device,
+                device=self.device,
+                field=answer.get("field"),
                 remedy=str(answer.get("remedy")),
                 code=str(answer.get("code", "")),
             )
@@ -131,8 +132,8 @@ class Link:
 class RefusedError(DeviceError):
     """The bench or one of its devices refused; `code` says it in one word."""
 
-    def __init__(self, problem: str, *, field: str, remedy: str, code: str) -> None:
-        super().__init__(problem, field=field, remedy=remedy)
+    def __init__(self, problem: str, *, device: str, field: str | None, remedy: str, code: str) -> None:
+        super().__init__(problem, file=device if field else None, field=field or device, remedy=remedy)
         self.code = code
 
 

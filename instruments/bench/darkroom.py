@@ -127,6 +127,7 @@ class Darkroom:
         camera: lens and sensor.
         lvf, room: see there.
         lamp_K: colour temperature of the rig's lamp.
+        born_s: the moment at which it begins, with a camera that has just been switched on.
     """
 
     seed: int
@@ -135,10 +136,11 @@ class Darkroom:
     lvf: Lvf = field(default_factory=Lvf)
     room: Room = field(default_factory=Room)
     lamp_K: float = 3000.0
+    born_s: float = 0.0
 
     def __post_init__(self) -> None:
         self.lamp, self.door = LampCourse(), DoorCourse()
-        self._placed = [_Placed(-math.inf, Stage(), 0.0, scene.STRIP)]
+        self._placed = [_Placed(-math.inf, Stage(), self.born_s, scene.STRIP)]
         self._pieces: dict[int, tuple[float, Film]] = {}
         self._drives: dict[tuple[Stage, int], Array] = {}
 
@@ -205,7 +207,7 @@ class Darkroom:
         since_s, film = self._pieces.get(piece, (-math.inf, Film.dark(self.sample)))
         if since_s == -math.inf:
             since_s = next((p.at_s for p in self._placed if p.stage.piece == piece), at_s)
-            since_s = max(since_s, 0.0)
+            since_s = max(since_s, self.born_s)
         if at_s > since_s:
             film, _ = self._let_pass(piece, film, since_s, at_s)
             self._pieces[piece] = (at_s, film)
@@ -271,9 +273,7 @@ class Darkroom:
         source = {"lamp": lambda: lights.halogen(self.lamp_K), "led": lights.led, "mercury": lights.mercury}
         strength = {"lamp": 1.0, "led": 0.3, "mercury": 0.3}[stage.light]
         light = strength * source[stage.light]()(NM)
-        return np.asarray(
-            light if stage.filter == "none" else light * lights.colour_filter(stage.filter)(NM)
-        )
+        return np.asarray(light if stage.filter == "none" else light * lights.colour_filter(stage.filter)(NM))
 
     @cached_property
     def _sensitivity(self) -> Array:
@@ -347,9 +347,7 @@ def _checker() -> dict[str, Array]:
     import colour
 
     patches: Any = colour.SDS_COLOURCHECKERS["BabelColor Average"]
-    return {
-        name: np.interp(NM, patches[name].wavelengths, patches[name].values) for name in patches
-    }
+    return {name: np.interp(NM, patches[name].wavelengths, patches[name].values) for name in patches}
 
 
 def _patch(name: str) -> Array:
@@ -367,5 +365,8 @@ def lamp_irradiance(darkroom: Darkroom, bands: Bands) -> Array:
     """(n_λ,) band means of the rig lamp's irradiance, in the bench's scale: the truth for tests."""
     fine = darkroom._light(Stage())
     return np.array(
-        [fine[(low <= NM) & (high > NM)].mean() for low, high in zip(bands.edges_nm[:-1], bands.edges_nm[1:], strict=True)]
+        [
+            fine[(low <= NM) & (high > NM)].mean()
+            for low, high in zip(bands.edges_nm[:-1], bands.edges_nm[1:], strict=True)
+        ]
     )

@@ -149,7 +149,9 @@ class _Rates:
             miss = self.filling(self._relaxed(state, dt / 2, c), drive) - c
             if (np.abs(miss) <= 1e-9 * (c + 1e-12)).all():
                 break
-            slope = np.where(np.abs(c - c0) > 1e-14 * c, (miss - miss0) / np.where(c == c0, 1.0, c - c0), -1.0)
+            slope = np.where(
+                np.abs(c - c0) > 1e-14 * c, (miss - miss0) / np.where(c == c0, 1.0, c - c0), -1.0
+            )
             # The miss falls with c, by less than c itself rises: between -1 and 0 the secant cannot go astray.
             slope = np.clip(slope, -2.0, -1e-3)
             c0, miss0, c = c, miss, np.maximum(c - miss / slope, 0.0)

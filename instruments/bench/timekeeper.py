@@ -21,9 +21,10 @@ class Timekeeper:
     Args:
         folder: where the time file is made.
         start: what the wall clock shows at first.
+        mono_s: what the monotonic clock shows at first.
     """
 
-    def __init__(self, folder: Path, start: datetime) -> None:
+    def __init__(self, folder: Path, start: datetime, mono_s: float = 0.0) -> None:
         path = folder / TIME_FILE
         path.write_bytes(bytes(TIME.size))
         handle = os.open(path, os.O_RDWR)
@@ -32,7 +33,8 @@ class Timekeeper:
         finally:
             os.close(handle)
         self._count = 0
-        self._zero, self._ahead, self._start, self._step = time.monotonic(), 0.0, start.timestamp(), 0.0
+        self._zero, self._ahead = time.monotonic(), mono_s
+        self._start, self._step = start.timestamp() - mono_s, 0.0
         self._publish()
 
     def now_s(self) -> float:
