@@ -97,6 +97,18 @@ def read_raw(path: str | os.PathLike[str], *, workers: Workers | None = None) ->
     return RawFrame(path=Path(path), **answer)
 
 
+def read_settings(path: str | os.PathLike[str], *, workers: Workers | None = None) -> dict[str, float | None]:
+    """Return `exposure_s`, `iso` and `f_number` of a frame, None for what it does not say.
+
+    All of it is decoded: a frame that is cut short is found out.
+
+    Raises:
+        PhoslabError: as `read_raw`.
+    """
+    (answer,) = _decoded("job_settings", [Path(path)], {}, workers, None)
+    return {name: answer[name] for name in ("exposure_s", "iso", "f_number")}
+
+
 def region_means(
     path: str | os.PathLike[str], region: Region, *, workers: Workers | None = None
 ) -> RegionMeans:

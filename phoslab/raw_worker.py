@@ -112,6 +112,14 @@ def job_values(path: str) -> dict[str, Any]:
     return frame if isinstance(frame, dict) else {k: v for k, v in vars(frame).items() if k != "path"}
 
 
+def job_settings(path: str) -> dict[str, Any]:
+    """The settings that a whole frame says it was made with."""
+    frame = decode(path)
+    if isinstance(frame, dict):
+        return frame
+    return {"exposure_s": frame.exposure_s, "iso": frame.iso, "f_number": frame.f_number}
+
+
 def job_means(
     path: str,
     box: list[int] | None = None,

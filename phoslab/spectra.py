@@ -55,7 +55,7 @@ def shape(name: str, bands: Bands, *, folder: Path | None = None, file: Path, fi
     Raises:
         PhoslabError: the name is unknown, or its file is missing or malformed.
     """
-    return band_means(_spectrum(name, folder, file, field), bands)
+    return band_means(spectrum(name, folder=folder, file=file, field=field), bands)
 
 
 def unit_length(values: Array) -> Array:
@@ -99,7 +99,8 @@ def camera_response(emission: Array, bands: Bands, camera: str) -> Array:
     return response
 
 
-def _spectrum(name: str, folder: Path | None, file: Path, field: str) -> Callable[[Array], Array]:
+def spectrum(name: str, *, folder: Path | None = None, file: Path, field: str) -> Callable[[Array], Array]:
+    """Return a named spectrum as a function of wavelengths in nm, in its own scale; see `shape`."""
     kind, _, detail = name.partition(":")
 
     def unknown(remedy: str) -> PhoslabError:

@@ -52,10 +52,33 @@ def write_dng(
     taken: str,
     description: str,
 ) -> None:
-    """Write one frame.
+    """Write one frame to `path`; see `dng`."""
+    path.write_bytes(
+        dng(
+            values,
+            sensor,
+            exposure_s=exposure_s,
+            iso=iso,
+            f_number=f_number,
+            taken=taken,
+            description=description,
+        )
+    )
+
+
+def dng(
+    values: NDArray[np.uint16],
+    sensor: Sensor,
+    *,
+    exposure_s: float,
+    iso: int,
+    f_number: float,
+    taken: str,
+    description: str,
+) -> bytes:
+    """Return one frame as a file's content.
 
     Args:
-        path: where to.
         values: (rows, columns) of the whole sensor, masked borders included, DN.
         sensor: see `Sensor`.
         exposure_s, iso, f_number: go into EXIF.
@@ -97,7 +120,7 @@ def write_dng(
         software="phoslab bench",
         extratags=tuple(tags),
     )
-    path.write_bytes(_with_exif(buffer.getvalue(), _exif(exposure_s, iso, f_number, taken)))
+    return _with_exif(buffer.getvalue(), _exif(exposure_s, iso, f_number, taken))
 
 
 def _with_exif(tiff: bytes, entries: list[tuple[int, int, int, bytes]]) -> bytes:

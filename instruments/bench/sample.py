@@ -40,6 +40,8 @@ class Sample:
     Args:
         name: for people.
         depth_eV, width_eV: mean and standard deviation of the trap depths.
+        more_traps: further groups of traps: how many there are for each of the first group's, the mean and the
+            standard deviation of their depths in eV.
         attempts_per_s: s, how often an electron tries to leave its trap.
         retrapping: R.
         temperature_C: of the sample.
@@ -53,6 +55,7 @@ class Sample:
     name: str = "green"
     depth_eV: float = 0.74
     width_eV: float = 0.05
+    more_traps: tuple[tuple[float, float, float], ...] = ()
     attempts_per_s: float = 1e12
     retrapping: float = 3.0
     temperature_C: float = 21.0
@@ -62,25 +65,41 @@ class Sample:
     emission_nm: float = 522.0
     emission_widths_nm: tuple[float, float] = (27.0, 40.0)
 
-    # 40 depths over ±3.2 standard deviations: their rates are a factor of 1.4 apart, narrower than the
+    # 40 depths a group over ±3.2 standard deviations: their rates are a factor of 1.4 apart, narrower than the
     # width of one exponential on a logarithmic time axis, so that the sum is smooth.
-    n_depths = 40
+    _N_GROUP = 40
+
+    @property
+    def n_depths(self) -> int:
+        """Number of depths, all groups together."""
+        return self._N_GROUP * (1 + len(self.more_traps))
+
+    @property
+    def _groups(self) -> tuple[tuple[float, float, float], ...]:
+        return ((1.0, self.depth_eV, self.width_eV), *self.more_traps)
 
     @property
     def _depths(self) -> Array:
         """(n_depths,) E_i in eV."""
-        return self.depth_eV + self.width_eV * np.linspace(-3.2, 3.2, self.n_depths)
+        spread = np.linspace(-3.2, 3.2, self._N_GROUP)
+        return np.concatenate([depth + width * spread for _, depth, width in self._groups])
 
     @property
     def capacity(self) -> Array:
         """(n_depths,) N_i; they sum to 1."""
-        density = np.exp(-0.5 * ((self._depths - self.depth_eV) / self.width_eV) ** 2)
-        return np.asarray(density / density.sum())
+        spread = np.linspace(-3.2, 3.2, self._N_GROUP)
+        density = np.exp(-0.5 * spread**2)
+        many = np.concatenate([share * density for share, _, _ in self._groups])
+        return np.asarray(many / many.sum())
 
     @property
     def release_per_s(self) -> Array:
         """(n_depths,) p_i."""
-        kT_eV = BOLTZMANN_EV_PER_K * (self.temperature_C + 273.15)
+        return self.release_at(self.temperature_C)
+
+    def release_at(self, temperature_C: float) -> Array:
+        """(n_depths,) p_i at another temperature: some 12 % more a degree."""
+        kT_eV = BOLTZMANN_EV_PER_K * (temperature_C + 273.15)
         return np.asarray(self.attempts_per_s * np.exp(-self._depths / kT_eV))
 
     @property
