@@ -27,6 +27,7 @@ from phoslab.errors import PhoslabError
 from phoslab.instruments import wire
 from phoslab.instruments.device_clock import DeviceClock
 from phoslab.instruments.devices import (
+    AlarmError,
     Clock,
     DeviceError,
     DeviceGoneError,
@@ -292,7 +293,8 @@ class RigController:
                 if alarm == "LAMPFAULT":
                     self._lamp_on = False
                     problem, remedy = _FAULTS[fields.get("verdict", status.get("verdict", "STUCK"))]
-                    self._on_trouble(DeviceError(problem, remedy=remedy, field=self.lamp.name))
+                    kind = AlarmError if problem == _FAULTS["STUCK"][0] else DeviceError
+                    self._on_trouble(kind(problem, remedy=remedy, field=self.lamp.name))
                 elif alarm in _WENT_OUT:
                     self._went_out(alarm)
                 self._ask(f"ACK {alarm}")
@@ -315,7 +317,7 @@ class RigController:
         if lost and not self._ready:
             return
         # A stuck relay is worse than what has gone wrong before, and must not hide behind it.
-        if self._trouble is None or "SHINES" in str(error):
+        if self._trouble is None or isinstance(error, AlarmError):
             self._trouble = error
         if lost:
             self._ready = self._lamp_on = False

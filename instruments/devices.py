@@ -29,6 +29,10 @@ class DeviceGoneError(DeviceError):
     """A device is no longer there: unplugged, switched off, or taken by another program."""
 
 
+class AlarmError(DeviceError):
+    """Something is dangerous, or not to be mended from here (a lamp that shines although it is off): stop everything."""
+
+
 class DeviceTimeoutError(DeviceError):
     """A device did not answer, or did not do what it was told, in time."""
 

@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from phoslab import schemas
 from phoslab.errors import PhoslabError
@@ -21,12 +21,15 @@ from phoslab.instruments.operator import Operator
 from phoslab.instruments.plans.ladder import NOMINAL, Ladder
 from phoslab.instruments.plans.steps import Setup
 
+if TYPE_CHECKING:
+    from phoslab.instruments.controller import RigController
+
 SCHEMA = "phoslab-rig/1"
 
 DRIVERS: Mapping[str, Mapping[str, str]] = {
     "lamp": {
         "controller": "phoslab.instruments.rig:_controller_lamp",
-        "lcus1": "phoslab.instruments.rig:_relay_lamp",
+        "lcus-1": "phoslab.instruments.rig:_relay_lamp",
         "kmtronic": "phoslab.instruments.rig:_relay_lamp",
     },
     "door": {
@@ -184,15 +187,21 @@ class Making:
 
     Args:
         rig: the file.
-        clock, operator, check: see the devices.
-        shared: things that two devices have in common, by name: the controller behind lamp and door.
+        host_clock: this computer's, or the bench's.
+        operator, check: see the devices.
+        clock: the same clock as `host_clock`, which knows the controller's as well where there is one.
+        controllers: by port: lamp and door may share one.
     """
 
     rig: Rig
-    clock: Clock
+    host_clock: Clock
     operator: Operator
     check: Callable[[], None]
-    shared: dict[str, Any] = field(default_factory=dict)
+    clock: Clock = field(init=False)
+    controllers: dict[str, RigController] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.clock = self.host_clock
 
 
 def connect(rig: Rig, clock: Clock, operator: Operator, check: Callable[[], None]) -> Devices:
@@ -203,7 +212,7 @@ def connect(rig: Rig, clock: Clock, operator: Operator, check: Callable[[], None
     """
     making = Making(rig, clock, operator, check)
     made = {kind: _function(kind, rig)(making, rig.data[kind]) for kind in DRIVERS}
-    return Devices(made["lamp"], made["door"], made["camera"], clock)
+    return Devices(made["lamp"], made["door"], made["camera"], making.clock)
 
 
 def _function(kind: str, rig: Rig) -> Callable[[Making, Mapping[str, Any]], Any]:
@@ -229,6 +238,59 @@ def plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {name: plain(item) for name, item in value.items()}
     return [plain(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _controller(making: Making, kind: str) -> RigController:
+    from phoslab.instruments.controller import RigController
+
+    port = _needed(making, kind, "port")
+    if port not in making.controllers:
+        lamp = making.rig.data["lamp"]
+        controller = RigController(
+            port,
+            max_on_s=making.rig.max_on_s,
+            settle_s=float(lamp.get("settle_s", 1.0)),
+            threshold=int(lamp.get("lit_from", 300)),
+            clock=making.host_clock,
+        )
+        making.controllers[port] = controller
+        making.clock = controller.clock
+    return making.controllers[port]
+
+
+def _controller_lamp(making: Making, table: Mapping[str, Any]) -> Lamp:
+    return _controller(making, "lamp").lamp
+
+
+def _controller_door(making: Making, table: Mapping[str, Any]) -> Door:
+    return _controller(making, "door").door
+
+
+def _relay_lamp(making: Making, table: Mapping[str, Any]) -> Lamp:
+    from phoslab.instruments.relays import RelayLamp
+
+    return RelayLamp(
+        _needed(making, "lamp", "port"),
+        table["driver"],
+        accept_no_failsafe=bool(table.get("accept_no_failsafe", False)),
+        clock=making.clock,
+    )
+
+
+def _simulated_camera(making: Making, table: Mapping[str, Any]) -> Camera:
+    from phoslab.instruments.cameras.simulated import SimulatedCamera
+    from phoslab.instruments.simulated import BenchClock, Link
+
+    clock = making.host_clock
+    if not isinstance(clock, BenchClock):
+        raise PhoslabError(
+            "is 'simulated', which is the bench's own",
+            file=making.rig.file,
+            field="camera.driver",
+            remedy="Use --simulate in place of --rig, or name the driver of a real camera.",
+        )
+    clock.device_s = making.clock.device_s
+    return SimulatedCamera(Link(Path(_needed(making, "camera", "port")), "camera"), clock)
 
 
 def _hand_door(making: Making, table: Mapping[str, Any]) -> Door:

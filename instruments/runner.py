@@ -25,6 +25,7 @@ import numpy as np
 from phoslab import raw
 from phoslab.errors import PhoslabError
 from phoslab.instruments.devices import (
+    AlarmError,
     Camera,
     Clock,
     DeviceError,
@@ -126,10 +127,6 @@ class Laboratory:
         for device in (self.lamp, self.door, self.camera):
             with contextlib.suppress(Exception):
                 device.stop()
-
-
-class AlarmError(DeviceError):
-    """Something is dangerous or cannot be mended from here: nothing may go on."""
 
 
 class Runner:
@@ -380,10 +377,7 @@ class Runner:
     def _frame(self, step: Shoot) -> Shot:
         lab, exposure = self.lab, step.exposure
         triggered_s = self.recorder.mono_s()
-        status = lab.camera.trigger()
-        # A simulated clock flows slowly by itself: sleeping lets it jump.
-        self._sleep(triggered_s + exposure.exposure_s)
-        self._until_done(status, CAMERA_S)
+        self._until_done(lab.camera.trigger(), exposure.exposure_s + CAMERA_S)
         start = lab.camera.read()["start"]
         start_s = min(float(start["value"]) + self.recorder.offset_s, self.recorder.mono_s())
         uncertainty = lab.camera.read().get("start_uncertainty")

@@ -35,6 +35,7 @@ _SHUTTER_PATIENCE_S = 2.0
 """Real time for which a host that has released the shutter may not ask after it."""
 
 PORT_FILE = "port"
+CONTROLLER = "controller"
 
 
 class Laboratory:
@@ -231,11 +232,17 @@ class Laboratory:
         os.set_blocking(master, False)
         self._master, self._slave = master, slave
         write_text(self._port_file, os.ttyname(slave) + "\n")
+        # A name that stays, as /dev/serial/by-id has it.
+        following = self._port_file.with_name(".controller")
+        following.unlink(missing_ok=True)
+        following.symlink_to(os.ttyname(slave))
+        following.replace(self._port_file.with_name(CONTROLLER))
 
     def _unplug(self) -> None:
         # The next one is opened first: so it gets another path.
         following = os.openpty()
         self._port_file.unlink(missing_ok=True)
+        self._port_file.with_name(CONTROLLER).unlink(missing_ok=True)
         os.close(self._slave)
         os.close(self._master)
         self._master, self._slave = -1, -1

@@ -21,6 +21,7 @@ from phoslab.instruments.plans.ladder import Ladder
 from phoslab.instruments.plans.steps import Setup
 from phoslab.instruments.rig import Devices, Rig, connect
 from phoslab.instruments.runner import CAMERA_S, Laboratory, check_space
+from phoslab.instruments.recorder import SystemClock
 from phoslab.instruments.rehearsal import TimeLine
 
 
@@ -85,11 +86,9 @@ def opened(
             bench = stack.enter_context(started(source.sample, source.seed, source.faults, not_before))
             rig, clock, operator, extra = bench.rig, bench.clock, bench.operator, bench.header
         else:
-            from phoslab.instruments.rig import clock_of
-
-            rig, clock, extra = source.rig, clock_of(source.rig), {}
-            operator = Terminal()
+            rig, clock, operator, extra = source.rig, SystemClock(), Terminal(), {}
         devices: Devices = connect(rig, clock, operator, interrupts.check)
+        clock = devices.clock  # which now knows the controller's
         stack.callback(devices.unstage)
         devices.stage()
         setup = rig.setup(devices.camera.choices)
@@ -128,9 +127,7 @@ def check_camera(lab: Laboratory, ladder: Ladder) -> None:
     """
     exposure = Exposure(ladder.exposures_s[len(ladder.exposures_s) // 2], ladder.isos[-1], ladder.f_numbers[0])
     lab.camera.set(exposure).wait(CAMERA_S)
-    status = lab.camera.trigger()
-    lab.clock.sleep_until(lab.clock.mono_s() + exposure.exposure_s)
-    status.wait(CAMERA_S)
+    lab.camera.trigger().wait(exposure.exposure_s + CAMERA_S)
     with tempfile.TemporaryDirectory(prefix="phoslab-") as folder:
         path = Path(folder) / f"trial.{lab.camera.suffix}"
         lab.camera.save(path)

@@ -71,12 +71,13 @@ def started(sample: str, seed: int, faults: Sequence[str], not_before: str | Non
     with bench_rig.start(sample, seed=seed, faults=tuple(faults), at=at) as bench:
         clock = BenchClock(bench.folder, Link(bench.socket))
         hands = Hands(Link(bench.socket))
+        port = str(bench.folder / "controller")
         rig = Rig.of(
             {
                 "schema": SCHEMA,
                 "name": "bench",
-                "lamp": {"driver": "controller", "port": str(bench.port()), "max_on_s": 14400},
-                "door": {"driver": "controller", "port": str(bench.port())},
+                "lamp": {"driver": "controller", "port": port, "max_on_s": 14400},
+                "door": {"driver": "controller", "port": port},
                 "camera": {"driver": "simulated", "port": str(bench.socket), "cycle_s": 0.5, "frame_MB": 0.2},
                 "filters": {"names": list(FILTERS)},
             }
