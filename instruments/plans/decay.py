@@ -13,6 +13,10 @@ from phoslab.instruments.plans.warm_up import warm_up
 from phoslab.plan_parameters import Decay
 
 
+SETTLE_S = 0.2
+"""From the door's end switch to the first frame: the sample no longer shakes, and the camera can be told in time."""
+
+
 def decay(p: Decay, setup: Setup) -> Plan:
     """One series of frames from the moment the door is open until `p.until_s`, and their dark frames.
 
@@ -30,10 +34,11 @@ def decay(p: Decay, setup: Setup) -> Plan:
     off_s: float = yield Lamp("off")
     yield Wait(setup.fade_s, "the lamp fades", since_s=off_s)
     open_s: float = yield Door("open")
+    first_s = open_s + SETTLE_S - off_s
     if p.spacing == "log":
-        after_s = list(log_times(open_s - off_s, p.until_s, p.per_decade, setup.cycle_s + 0.5))
+        after_s = list(log_times(first_s, p.until_s, p.per_decade, setup.cycle_s + 0.5))
     else:
-        after_s = list(even_times(open_s - off_s, p.until_s, p.interval_s))
+        after_s = list(even_times(first_s, p.until_s, p.interval_s))
     used = yield from fading_frames(setup, "decay", [off_s + t for t in after_s], exposure, p.longest_s)
     yield Door("closed")
     yield from dark_frames(used, p.darks)

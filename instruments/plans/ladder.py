@@ -23,6 +23,9 @@ LOWEST, HIGHEST = 0.05, 0.80
 TARGET = 0.55
 """Level that a new setting aims at: a stop of it may be missed and the light be 1.4 times as bright."""
 
+SATURATED = 0.97
+"""From here on a level says no more than that there is more light."""
+
 KEEP = 0.22
 """A setting is kept while a frame reaches this: light that halves until the next still leaves twice `LOWEST`."""
 
@@ -115,8 +118,13 @@ class Ladder:
 
         A saturated frame only says "too much": three stops less.
         """
-        known = gain(exposure) / 8 if level >= 0.97 else gain(exposure) * target / max(level, 1e-4)
-        below = [e for e in self.rungs if gain(e) <= known * 1.02]
+        if level >= SATURATED:
+            return self.reaching(gain(exposure) / 8)
+        return self.reaching(gain(exposure) * target / max(level, 1e-4))
+
+    def reaching(self, wanted: float) -> Exposure:
+        """The rung with the largest gain up to `wanted`, or the lowest."""
+        below = [e for e in self.rungs if gain(e) <= wanted * 1.02]
         return below[-1] if below else self.rungs[0]
 
     def follow(self, exposure: Exposure, level: float) -> Exposure:

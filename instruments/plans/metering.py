@@ -13,7 +13,8 @@ TRIALS = 8
 RECHARGE_S = 60.0
 """Light between two trials on a glow; a trial takes some seconds of it."""
 
-_LOW, _HIGH = 0.15, 0.70
+_LOW, _GOOD, _HIGH = 0.15, 0.30, 0.70
+"""Levels from which a trial says how to do better, within which there is no need to."""
 
 
 def meter(ladder: Ladder, start: Exposure | None = None) -> Generator[Step, Any, Exposure]:
@@ -51,5 +52,7 @@ def _better(ladder: Ladder, shot: Shot) -> tuple[Exposure, bool]:
     """What to take instead, and whether that is sure to serve: a frame far off the mark says little about how far."""
     if shot.frame is None:
         return shot.exposure, False
+    if _GOOD <= shot.level <= _HIGH:
+        return shot.exposure, True
     better = ladder.aim(shot.exposure, shot.level)
     return better, _LOW <= shot.level <= _HIGH or better == shot.exposure

@@ -88,6 +88,15 @@ class Campaign:
             source = Source(Rig.from_header(header.rig))
         return cls(folder, (entry,), source, header.sample_name, several=False)
 
+    @property
+    def rig(self) -> Rig:
+        """The rig; that of the bench if there is no other."""
+        if self.source.rig is not None:
+            return self.source.rig
+        from phoslab.app.simulation import bench_of
+
+        return bench_of(Path("controller"), Path("socket"))
+
     def save(self) -> None:
         """Write campaign.toml."""
         data = {
@@ -107,7 +116,7 @@ class Campaign:
             opened: the laboratory, as far as it is known.
             done: sessions that are complete.
         """
-        setup = opened.setup if opened else (self.source.rig or _SIMULATED).setup()
+        setup = opened.setup if opened else self.rig.setup()
         rehearsal = Rehearsal(setup)
         for entry in self.entries:
             if entry.folder not in done:
@@ -117,23 +126,11 @@ class Campaign:
         return rehearsal.line
 
 
-_SIMULATED = Rig(
-    {
-        "name": "bench",
-        "lamp": {"driver": "controller"},
-        "door": {"driver": "controller"},
-        "camera": {"driver": "simulated", "cycle_s": 0.5, "frame_MB": 0.2},
-        "filters": {"names": ["R02", "R27", "R80"]},
-    }
-)
-
-
 def begin(campaign: Campaign) -> None:
     """Refuse what is wrong before any device is touched; then make room for it."""
     check_free(campaign.folder)
     line = campaign.rehearse()
-    rig = campaign.source.rig or _SIMULATED
-    check_plan(line, rig.max_on_s, campaign.folder, rig.frame_bytes)
+    check_plan(line, campaign.rig.max_on_s, campaign.folder, campaign.rig.frame_bytes)
 
 
 def measured(campaign: Campaign, *, json: bool, resume: bool = False) -> int:
