@@ -42,6 +42,7 @@ class BoardProcess:
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, env=same_phoslab()
         )
+        self.kind = ""
         self.port = str(link)
         self.paths: list[str] = []
         self.pins: list[Pin] = []
