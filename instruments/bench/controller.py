@@ -125,7 +125,7 @@ class SimulatedController:
         self._cause = cause
         self._greeted = False
         self._lines = wire.Lines()
-        self._out = b""
+        self._out = b"\n"  # the reset may have cut a line short
         self._lamp_on, self._since_us, self._why = False, 0, "BOOT"
         self._keep_until_us = 0  # by the clock of silence
         self._alarms: dict[str, _Alarm] = {}
