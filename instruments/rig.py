@@ -277,6 +277,31 @@ def _relay_lamp(making: Making, table: Mapping[str, Any]) -> Lamp:
     )
 
 
+def _told(making: Making) -> dict[str, Any]:
+    """What the rig file says of the camera itself."""
+    camera = making.rig.data["camera"]
+    return {name: camera[name] for name in ("make", "model", "sensitivities") if name in camera}
+
+
+def _gphoto2_camera(making: Making, table: Mapping[str, Any]) -> Camera:
+    from phoslab.instruments.cameras.gphoto2 import GphotoCamera
+
+    return GphotoCamera(making.clock, port=table.get("port"), sensitivities=table.get("sensitivities"))
+
+
+def _drop_folder_camera(making: Making, table: Mapping[str, Any]) -> Camera:
+    from phoslab.instruments.cameras.drop_folder import DropFolder
+
+    return DropFolder(
+        Path(_needed(making, "camera", "folder")),
+        making.clock,
+        command=table.get("command", ()),
+        choices=making.rig.choices,
+        facts=_told(making),
+        patience_s=float(table.get("patience_s", 60.0)),
+    )
+
+
 def _simulated_camera(making: Making, table: Mapping[str, Any]) -> Camera:
     from phoslab.instruments.cameras.simulated import SimulatedCamera
     from phoslab.instruments.simulated import BenchClock, Link

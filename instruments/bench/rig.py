@@ -53,12 +53,10 @@ class Bench:
     sample: str
     seed: int
 
-    def port(self) -> str | None:
-        """Path of the controller's serial port now; None while its cable is out. It may come back under another."""
-        try:
-            return (self.folder / "port").read_text("utf-8").strip()
-        except OSError:
-            return None
+    @property
+    def port(self) -> str:
+        """Path of the controller's serial port: a link that is not there while its cable is out."""
+        return str(self.folder.absolute() / "port")
 
     def stop(self) -> None:
         """End its process; harmless if it has ended. Left alone, it ends soon after its last host has."""

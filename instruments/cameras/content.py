@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Literal
 
 from phoslab.errors import PhoslabError
 from phoslab.instruments.devices import DeviceError, Exposure
@@ -29,6 +30,36 @@ def not_raw(content: bytes) -> str | None:
     'a JPEG picture'
     """
     return next((kind for at, magic, kind in _NOT_RAW if content[at : at + len(magic)] == magic), None)
+
+
+def suffix_of(path: Path) -> str:
+    """Return the suffix that a RAW file's content deserves: CR2, CR3, NEF, ARW, RAF, RW2, ORF, dng; else raw."""
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    for at, magic, suffix in (
+        (8, b"CR\x02", "CR2"),
+        (4, b"ftypcrx", "CR3"),
+        (0, b"FUJIFILMCCD-RAW", "RAF"),
+        (0, b"IIU\0", "RW2"),
+        (0, b"IIRO", "ORF"),
+        (0, b"IIRS", "ORF"),
+    ):
+        if head[at : at + len(magic)] == magic:
+            return suffix
+    if head[:4] not in (b"II*\0", b"MM\0*"):
+        return "raw"
+    # The others are TIFF files. A DNG has the tag 50706 in its first directory; of the rest the maker decides.
+    order: Literal["little", "big"] = "little" if head[:1] == b"I" else "big"
+
+    def number(at: int, size: int) -> int:
+        return int.from_bytes(head[at : at + size], order)
+
+    first = number(4, 4)
+    tags = {number(first + 2 + 12 * k, 2) for k in range(min(number(first, 2), 300))}
+    if 50706 in tags:
+        return "dng"
+    makers = ((b"NIKON", "NEF"), (b"SONY", "ARW"), (b"PENTAX", "PEF"), (b"SAMSUNG", "SRW"))
+    return next((suffix for maker, suffix in makers if maker in head.upper()), "raw")
 
 
 def check_raw(path: Path, device: str, exposure: Exposure | None) -> None:

@@ -6,6 +6,7 @@ A driver says how to connect, set, release and fetch; everything that a plan may
 from __future__ import annotations
 
 import abc
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from phoslab.instruments.cameras.content import check_raw
-from phoslab.instruments.devices import Clock, DeviceError, DeviceGoneError, Exposure, Reading, Status
+from phoslab.instruments.devices import Clock, DeviceError, Exposure, Reading, Status
 
 
 @dataclass(frozen=True)
@@ -107,10 +108,8 @@ class Tethered(abc.ABC):
         """Let it go."""
         self.stop()
         with self._doing:
-            try:
+            with contextlib.suppress(Exception):  # it is gone, or lets go badly: either way we are done with it
                 self._disconnect()
-            except Exception:  # it is gone, or lets go badly: either way we are done with it
-                pass
             self._staged = False
         return [self]
 
@@ -148,6 +147,7 @@ class Tethered(abc.ABC):
 
     def read(self) -> dict[str, Reading]:
         """Return the number of exposures, the settings, and `start` and `start_uncertainty` of the last exposure."""
+        self._check_staged()
         now = self._clock.mono_s()
         values: dict[str, tuple[Any, str, float]] = {self._name: (self._exposures, "", now)}
         if self._exposure is not None:
@@ -189,8 +189,7 @@ class Tethered(abc.ABC):
         def run() -> None:
             try:
                 with self._doing:
-                    if not self._staged:
-                        raise DeviceGoneError("is not connected", field=self._name, remedy="Stage it first.")
+                    self._check_staged()
                     act()
             except Exception as error:
                 status.finish(error)
@@ -203,6 +202,10 @@ class Tethered(abc.ABC):
     def _status(self, command: str) -> Status:
         """The kind of status that goes out."""
         return Status(self._name, command)
+
+    def _check_staged(self) -> None:
+        if not self._staged:
+            raise DeviceError("is not staged", field=self._name, remedy="Stage it first.")
 
     def _check_choices(self, value: Exposure) -> None:
         for name, known in self.choices.items():

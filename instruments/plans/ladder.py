@@ -88,7 +88,7 @@ class Ladder:
             raise PhoslabError(
                 "offers no exposure time or ISO within the limits",
                 field="the camera",
-                remedy="Widen [camera.limits] in the rig file, or turn the camera's dial to M.",
+                remedy="Widen [camera.limits] in the rig file, or say what is set there: camera.exposures_s and camera.isos.",
             )
         return cls(exposures, isos, within("f_number", "f_number_min", "f_number_max", math.sqrt(2)) or (None,))
 

@@ -90,7 +90,7 @@ def started(sample: str, seed: int, faults: Sequence[str], not_before: str | Non
     with bench_rig.start(sample, seed=seed, faults=tuple(faults), at=at) as bench:
         clock = BenchClock(bench.folder, Link(bench.socket))
         hands = Hands(Link(bench.socket))
-        rig = bench_of(bench.folder / "controller", bench.socket)
+        rig = bench_of(Path(bench.port()), bench.socket)
         header = {
             "operator": "nobody",
             "sample": {"note": STATEMENT},
