@@ -40,7 +40,6 @@ def decay(p: Decay, setup: Setup) -> Plan:
     else:
         after_s = list(even_times(first_s, p.until_s, p.interval_s))
     used = yield from fading_frames(setup, "decay", [off_s + t for t in after_s], exposure, p.longest_s)
-    yield Door("closed")
     yield from dark_frames(used, p.darks)
 
 

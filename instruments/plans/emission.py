@@ -28,5 +28,4 @@ def emission(p: Emission, setup: Setup) -> Plan:
         shot: Shot = yield Shoot("emission", exposure)
         used.add(exposure)
         exposure = ladder.follow(exposure, shot.level)
-    yield Door("closed")
     yield from dark_frames(used, p.darks)
