@@ -23,7 +23,6 @@ from collections.abc import Callable
 from datetime import datetime
 from typing import Any, Literal
 
-from phoslab.errors import PhoslabError
 from phoslab.instruments import wire
 from phoslab.instruments.device_clock import DeviceClock
 from phoslab.instruments.devices import (

@@ -30,7 +30,7 @@ class DeviceGoneError(DeviceError):
 
 
 class AlarmError(DeviceError):
-    """Something is dangerous, or not to be mended from here (a lamp that shines although it is off): stop everything."""
+    """Something is dangerous (a lamp that shines although it is off), or not to be mended from here: stop all."""
 
 
 class DeviceTimeoutError(DeviceError):

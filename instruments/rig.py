@@ -1,7 +1,7 @@
 """rig.toml: what stands in the dark room, read, checked, and made into devices.
 
-A driver is one line in `DRIVERS` and a function that makes it from its table; its module is loaded when a rig file names
-it. docs/formats-rig.md describes the file.
+A driver is one line in `DRIVERS` and a function that makes it from its table; its module is loaded when a rig file
+names it. docs/formats-rig.md describes the file.
 """
 
 from __future__ import annotations

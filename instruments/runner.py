@@ -392,7 +392,7 @@ class Runner:
         lab.watcher.doing(
             f"exposing {exposure.exposure_s:g} s ({step.role})", lab.clock.mono_s() + exposure.exposure_s
         )
-        shot = self._answered(command, lambda: self._frame(step))
+        shot: Shot = self._answered(command, lambda: self._frame(step))
         self._acknowledge(command, number, reply_of(shot))
         lab.watcher.shot(step.role, shot)
         return shot

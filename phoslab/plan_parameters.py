@@ -182,7 +182,10 @@ def names(text: str) -> tuple[str, ...]:
 
 
 def _value(plan: str, about: dataclasses.Field[Any], value: Any, file: Any) -> Any:
-    kind = type(about.default)
+    default: object = about.default
+    kind: type[float] | type[int] | type[str] = (
+        str if isinstance(default, str) else int if isinstance(default, int) else float
+    )
     low, choices = about.metadata["low"], about.metadata["choices"]
     wanted = f"one of {', '.join(choices)}" if choices else "a text"
     if kind is not str:

@@ -11,7 +11,16 @@ DOCS = sorted((Path(__file__).parent.parent / "docs").glob("*.md"))
 
 
 PACKAGES = (
-    *("", ".app", ".fitting", ".instruments", ".instruments.bench", ".instruments.plans", ".presets", ".render"),
+    *(
+        "",
+        ".app",
+        ".fitting",
+        ".instruments",
+        ".instruments.bench",
+        ".instruments.plans",
+        ".presets",
+        ".render",
+    ),
     ".schemas",
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterator
 from typing import Any
 
@@ -11,7 +12,6 @@ from phoslab.instruments.plans.metering import meter_glow
 from phoslab.instruments.plans.steps import Door, Lamp, Part, Plan, Setup, Shoot, Shot, Stage, Step, Wait
 from phoslab.instruments.plans.warm_up import warm_up
 from phoslab.plan_parameters import Decay
-
 
 SETTLE_S = 0.2
 """From the door's end switch to the first frame: the sample no longer shakes, and the camera can be told in time."""
@@ -77,14 +77,14 @@ def fading_frames(
     A frame that is lost or too late is left out, and the series goes on: a decay cannot be stopped.
     """
     used: set[Exposure] = set()
+    level = math.nan  # of the frame before
     for k, moment_s in enumerate(at_s):
         gap_s = at_s[k + 1] - moment_s if k + 1 < len(at_s) else longest_s + setup.cycle_s
         ladder = setup.ladder.up_to(min(longest_s, max(gap_s - setup.cycle_s, 0.0)))
-        if k:
-            exposure = ladder.follow(exposure, level)
+        exposure = ladder.follow(exposure, level)
         shot: Shot = yield Shoot(role, exposure, moment_s, gap_s / 2)
         if shot.frame is None:
-            level = float("nan")
+            level = math.nan
             continue
         used.add(exposure)
         level = shot.level

@@ -88,9 +88,11 @@ class Ladder:
             raise PhoslabError(
                 "offers no exposure time or ISO within the limits",
                 field="the camera",
-                remedy="Widen [camera.limits] in the rig file, or say what is set there: camera.exposures_s and camera.isos.",
+                remedy="Widen [camera.limits] in the rig file, or say there what is set: exposures_s and isos.",
             )
-        return cls(exposures, isos, within("f_number", "f_number_min", "f_number_max", math.sqrt(2)) or (None,))
+        return cls(
+            exposures, isos, within("f_number", "f_number_min", "f_number_max", math.sqrt(2)) or (None,)
+        )
 
     @property
     def rungs(self) -> tuple[Exposure, ...]:
@@ -129,10 +131,9 @@ class Ladder:
 
     def follow(self, exposure: Exposure, level: float) -> Exposure:
         """The setting for the next frame of a light that only fades: the same while it serves."""
-        usable = exposure in self.rungs or exposure.exposure_s <= self.exposures_s[-1] * 1.001
-        if usable and KEEP <= level <= HIGHEST:
-            return exposure
         if math.isnan(level):
+            return exposure
+        if KEEP <= level <= HIGHEST and exposure.exposure_s <= self.exposures_s[-1] * 1.001:
             return exposure
         return self.aim(exposure, level)
 

@@ -176,7 +176,13 @@ def frame_line(role: str, shot: Shot) -> str:
     settings = f"{e.exposure_s:g} s ISO {e.iso:g}" + (f" f/{e.f_number:g}" if e.f_number else "")
     if shot.frame is None:
         return f"a {role} frame of {settings} was lost"
-    too = " (too bright)" if shot.level > HIGHEST else " (dark)" if shot.level < LOWEST and role != "dark" else ""
+    too = (
+        " (too bright)"
+        if shot.level > HIGHEST
+        else " (dark)"
+        if shot.level < LOWEST and role != "dark"
+        else ""
+    )
     return f"{shot.frame} {role} {settings}: {shot.level:.0%}".replace("%", " %") + f" of saturation{too}"
 
 
@@ -248,7 +254,9 @@ class Terminal:
             print(file=sys.stderr)
             for text in texts:
                 print(printable(f"  -> {text}"), file=sys.stderr)
-            print("  Then press Enter (Ctrl-C: stop here, resume later). ", end="", file=sys.stderr, flush=True)
+            print(
+                "  Then press Enter (Ctrl-C: stop here, resume later). ", end="", file=sys.stderr, flush=True
+            )
             _wait_for_enter(check)
 
 

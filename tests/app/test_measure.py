@@ -1,5 +1,5 @@
-"""`phoslab measure` and `phoslab resume` on the simulated bench: the drivers, plans and recorder of a real rig, run as a
-user runs them, with everything going wrong that can."""
+"""`phoslab measure` and `phoslab resume` on the simulated bench: the drivers, plans and recorder of a real rig, run as
+a user runs them, with everything going wrong that can."""
 
 from __future__ import annotations
 
@@ -235,7 +235,9 @@ def test_a_decay_survives(fault: str, missed: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", ["controller-reset@6", "serial-unplug@6"])
-def test_a_part_whose_lamp_went_out_begins_again_and_the_first_attempt_is_kept(fault: str, tmp_path: Path) -> None:
+def test_a_part_whose_lamp_went_out_begins_again_and_the_first_attempt_is_kept(
+    fault: str, tmp_path: Path
+) -> None:
     assert measure(tmp_path / "s", "--fault", fault) == 0
     session = Session.open(tmp_path / "s")
     parts = [e["arguments"] for e in lines(tmp_path / "s") if e["event"] == "command" and e["name"] == "part"]
@@ -303,7 +305,9 @@ def test_a_disk_that_fills_up_stops_the_plan_and_a_resume_completes_it(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_leaves_the_lamp_off_and_the_session_interrupted(number: signal.Signals, tmp_path: Path) -> None:
+def test_a_signal_leaves_the_lamp_off_and_the_session_interrupted(
+    number: signal.Signals, tmp_path: Path
+) -> None:
     process = decay_in_a_process(tmp_path / "s")
     wait_for(tmp_path / "s", lamp_is_on)
     process.send_signal(number)

@@ -88,9 +88,7 @@ class LampContract(DeviceContract):
         assert isinstance(lamp, Lamp)
         assert isinstance(lamp.failsafe, bool)
 
-    def test_it_is_off_when_staged_and_after_unstaging(
-        self, lamp: Lamp, shines: Callable[[], bool]
-    ) -> None:
+    def test_it_is_off_when_staged_and_after_unstaging(self, lamp: Lamp, shines: Callable[[], bool]) -> None:
         lamp.stage()
         assert lamp.read()[lamp.name]["value"] == "off"
         lamp.set("on").wait(5)
@@ -167,9 +165,7 @@ class LampContract(DeviceContract):
         staged.set("on").wait(5)
         assert eventually(shines)
 
-    def test_stop_switches_off_from_another_thread(
-        self, staged: Lamp, shines: Callable[[], bool]
-    ) -> None:
+    def test_stop_switches_off_from_another_thread(self, staged: Lamp, shines: Callable[[], bool]) -> None:
         import threading
 
         staged.set("on").wait(5)
