@@ -283,7 +283,7 @@ class RelayLamp:
                 if b"OFF" in self._socket.recv(4096, socket.MSG_DONTWAIT):
                     self._on = False
                     raise DeviceError(
-                        "was switched off by its guardian: this program was silent for too long",
+                        "was switched off by its guardian: this program was silent, or a promise was not renewed",
                         field=self.name,
                         remedy="End what keeps this computer so busy, then stage it again.",
                     )
