@@ -7,9 +7,9 @@
     ...
     rig.lamp.unstage()
 
-What goes wrong between calls (a stuck relay, a reset, a cable that is pulled, a lamp that went out) is told to those who
-subscribed, at once, and raised by every call from then on, until `stage`; only switching off, `stop` and `unstage` are
-never refused.
+What goes wrong between calls (a stuck relay, a reset, a pulled cable, a lamp that went out) is told to those who
+subscribed, at once, and raised by every call from then on, until `stage`; only switching off, `stop` and `unstage`
+are never refused.
 
 Time-outs of the line are in real time. `clock` may be another: promises (`allow_until`) and readings are in its time.
 """
@@ -23,7 +23,6 @@ from collections.abc import Callable
 from datetime import datetime
 from typing import Any, Literal
 
-from phoslab.errors import PhoslabError
 from phoslab.instruments import wire
 from phoslab.instruments.device_clock import DeviceClock
 from phoslab.instruments.devices import (

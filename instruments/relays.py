@@ -218,9 +218,7 @@ class RelayLamp:
         timestamp = clock.wall().timestamp() - (clock.mono_s() - self._since_s)
 
         def reading(value: Any, unit: str) -> Reading:
-            return Reading(
-                value=value, unit=unit, timestamp=timestamp, mono_s=self._since_s, device_s=None
-            )
+            return Reading(value=value, unit=unit, timestamp=timestamp, mono_s=self._since_s, device_s=None)
 
         return {
             self.name: reading("on" if self._on else "off", ""),
@@ -289,8 +287,14 @@ class RelayLamp:
                     )
             self._socket.sendall(f"KEEP {keep_s:.3f}\n".encode())
         except (OSError, DeviceError) as error:
-            trouble = error if isinstance(error, DeviceError) else DeviceError(
-                "has lost its guardian process", field=self.name, remedy="Stage it again, and see what ended it."
+            trouble = (
+                error
+                if isinstance(error, DeviceError)
+                else DeviceError(
+                    "has lost its guardian process",
+                    field=self.name,
+                    remedy="Stage it again, and see what ended it.",
+                )
             )
             self._on_trouble(trouble)
             if keep_s > 0:

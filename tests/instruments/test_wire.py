@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 
 from phoslab.instruments import wire
 
-TEXT = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E, exclude_characters="*"), min_size=1, max_size=180)
+TEXT = st.text(
+    st.characters(min_codepoint=0x20, max_codepoint=0x7E, exclude_characters="*"), min_size=1, max_size=180
+)
 
 
 def test_the_checksum_is_the_published_one() -> None:
