@@ -1,9 +1,9 @@
 """How long the lamp stays on after the host has been killed: python tests/benchmarks/lamp_off.py [N]
 
-Starts a host process that switches the lamp on and keeps it on, kills it (kill -9) at a random moment of its heartbeat,
-and notes when the board's output goes off, by this machine's clock. N times (20) for each: the firmware under simavr, the
-simulated controller, a relay board with its guardian. The limit is 2.5 s: 2 s without a heartbeat, the rest for the
-way of the last one and the board.
+Starts a host process that switches the lamp on and keeps it on, kills it (kill -9) at a random moment of its
+heartbeat, and notes when the board's output goes off, by this machine's clock. N times (20) for each: the firmware
+under simavr, the simulated controller, a relay board with its guardian. The limit is 2.5 s: 2 s without a heartbeat,
+the rest for the way of the last one and the board.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def main() -> None:
             "relay board, guardian": ([sys.executable, str(HERE / "relay_board.py"), "lcus-1"], "lcus-1"),
         }
         late = False
-        print(f"lamp off after kill -9, {n} each                 min   median      max [s]")
+        print(f"lamp off after kill -9, {n} each                 min   median      max [s]", flush=True)
         for what, (command, kind) in boards.items():
             board = BoardProcess(command, folder / kind)
             times = np.array([lamp_off_s(board, kind) for _ in range(n)])
