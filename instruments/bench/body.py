@@ -220,6 +220,12 @@ class Body:
         self.card[shot.number] = shot
         return shot
 
+    def abort(self) -> None:
+        """Close the shutter and throw the frame away."""
+        if self.last is not None and self.phase(self.last) != "ready":
+            self._told = self.exposures
+            self.card.pop(self.exposures)
+
     @property
     def about_to_open(self) -> bool:
         """Whether the shutter has been released, and nobody has been told yet that it opened."""

@@ -148,6 +148,10 @@ class Laboratory:
                 self._next_exposure()
                 body.check(int(asked["connection"]))
                 return {"number": body.expose().number}
+            case "abort":
+                body.check(int(asked["connection"]))
+                body.abort()
+                return {}
             case "phase":
                 body.check(int(asked["connection"]))
                 shot = body.card[int(asked["number"])]

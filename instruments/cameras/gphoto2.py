@@ -41,6 +41,9 @@ _READ_OUT_S = 30.0
 _SETTLE_S, _TRIAL_SETTLE_S = 0.06, 1.0
 """For which more files of the same exposure are waited for: a JPEG beside the RAW file comes last."""
 
+_GIVEN_UP_S = 5.0
+"""From the end of an exposure that was stopped until its file has come."""
+
 _RAW_ALONE = "Set its image quality to RAW alone."
 
 _STORE_FULL = "PTP Event 400a"
@@ -87,6 +90,7 @@ class GphotoCamera(Tethered):
         self._suffix = "raw"
         self._file: tuple[str, str] | None = None
         self._settle_s = _SETTLE_S
+        self._given_up_until = 0.0
 
     @property
     def suffix(self) -> str:
@@ -261,15 +265,18 @@ class GphotoCamera(Tethered):
         return moments[0], moments[1]
 
     def _drain(self) -> None:
-        """Take what the queue still holds: it is of an exposure before."""
-        until = time.monotonic() + _SETTLE_S
+        """Take what the queue still holds: it is of an exposure before, perhaps one that was stopped."""
+        until = max(self._given_up_until, time.monotonic() + _SETTLE_S)
         while time.monotonic() < until:
             kind, data = self._event(1)
-            if kind == self._gp.GP_EVENT_TIMEOUT:
+            given_up = time.monotonic() < self._given_up_until
+            if kind == self._gp.GP_EVENT_TIMEOUT and not given_up:
                 return
             if kind == self._gp.GP_EVENT_FILE_ADDED:
                 self._delete((str(data.folder), str(data.name)))
-                raise self._refused("made another file after an exposure", _RAW_ALONE)
+                if not given_up:
+                    raise self._refused("made another file after an exposure", _RAW_ALONE)
+                until = self._given_up_until = 0.0
 
     def _event(self, wait_ms: int) -> tuple[int, Any]:
         kind, data = self._call(lambda: self._camera.wait_for_event(wait_ms))
@@ -287,6 +294,9 @@ class GphotoCamera(Tethered):
         files: list[tuple[str, str]] = []
         # Bodies never stop to tell of their properties: what counts is the time, not that they fall silent.
         while (left_s := until - time.monotonic()) > 0:
+            if self._stopped.is_set() and not files:
+                # No body takes a release back: its file will come, and is not of the next exposure.
+                self._given_up_until = begin + exposure_s + _GIVEN_UP_S
             self._pause(0.0)
             kind, data = self._event(max(1, min(200, int(1000 * left_s))))
             if kind == self._gp.GP_EVENT_UNKNOWN and str(data).startswith(_STORE_FULL):
