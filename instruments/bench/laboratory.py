@@ -155,7 +155,12 @@ class Laboratory:
             case "phase":
                 body.check(int(asked["connection"]))
                 shot = body.card[int(asked["number"])]
-                return {"phase": body.tell(shot), "ready_s": shot.close_s + body.readout_s}
+                phase = body.tell(shot)
+                return {
+                    "phase": phase,
+                    "now_s": self.keeper.now_s(),
+                    "ready_s": shot.close_s + body.readout_s,
+                }
         raise ValueError(f"there is no {do!r}")
 
     # --- time ---------------------------------------------------------------------------------

@@ -150,7 +150,12 @@ class GphotoCamera(Tethered):
         self._prefer("autofocus", ("Off",))
         self._prefer("reviewtime", ("None", "Off"))
         for alias, good, problem, remedy in (
-            ("focusmode", ("manual", "mf"), "focuses by itself", "Switch lens and body to manual focus (MF)."),
+            (
+                "focusmode",
+                ("manual", "mf"),
+                "focuses by itself",
+                "Switch lens and body to manual focus (MF).",
+            ),
             ("autofocus", ("off",), "focuses by itself", "Switch lens and body to manual focus (MF)."),
             ("autoexposuremode", ("manual", "m"), "exposes by itself", "Turn its dial to M."),
             ("expprogram", ("m", "manual"), "exposes by itself", "Turn its dial to M."),
@@ -187,7 +192,7 @@ class GphotoCamera(Tethered):
         with tempfile.TemporaryDirectory(prefix="phoslab-") as folder:
             path = Path(folder) / "trial"
             self._fetch(path)
-            check_raw(path, self._name, None)
+            check_raw(path, self._name, {})
             self._suffix = suffix_of(path)
         self._forget()
 
@@ -202,7 +207,9 @@ class GphotoCamera(Tethered):
             alias, text = self._alias(name), self._choices[name][nearest]
             self._patiently(lambda alias=alias, text=text: self._write(alias, text), self._is_busy, _BUSY_S)  # type: ignore[misc]
             if (found := _number(str(self._value(alias)))) is None or abs(found / nearest - 1) > 0.02:
-                raise self._refused(f"keeps {name} at {self._value(alias)} where {text} was set", "Turn its dial to M.")
+                raise self._refused(
+                    f"keeps {name} at {self._value(alias)} where {text} was set", "Turn its dial to M."
+                )
 
     def _offered(self, aliases: Sequence[str]) -> dict[float, str]:
         for alias in aliases:
@@ -356,7 +363,9 @@ class GphotoCamera(Tethered):
         except self._gp.GPhoto2Error as error:
             code, words = int(error.code), str(error.string)
             if code == _BUSY or "busy" in words.lower():
-                raise _BusyError("is busy", field=self._name, remedy="Wait a moment and try again.") from error
+                raise _BusyError(
+                    "is busy", field=self._name, remedy="Wait a moment and try again."
+                ) from error
             if code in (_NO_SPACE, _NO_MEMORY):
                 raise _full(self._name) from error
             if code == _CLAIM:

@@ -107,7 +107,9 @@ class SimulatedCamera(Tethered):
                 break
             not_before_s = asked_s
             self._pause(_POLL_S)
-        not_after_s = self._clock.mono_s()
+        not_after_s = float(
+            state["now_s"]
+        )  # not this side's: the clock may jump while the answer is on its way
         self.ready_s = float(state["ready_s"])
         while state["phase"] != "ready":
             self._pause(_POLL_S)

@@ -102,13 +102,15 @@ class CameraContract:
     def test_every_exposure_is_one_whole_raw_frame(
         self, staged: Camera, exposure: Exposure, release: Any, tmp_path: Path
     ) -> None:
+        folder = tmp_path / "frames"
+        folder.mkdir()
         for k in range(3):
             self.shoot(staged, exposure, release)
-            path = tmp_path / f"{k}.{staged.suffix}"
+            path = folder / f"{k}.{staged.suffix}"
             staged.save(path)
             frame = raw.read_raw(path)
             assert frame.exposure_s == pytest.approx(exposure.exposure_s, rel=0.08)
-        assert len(list(tmp_path.iterdir())) == 3
+        assert len(list(folder.iterdir())) == 3
 
     def test_a_frame_that_could_not_be_written_is_kept_until_it_was(
         self, staged: Camera, exposure: Exposure, release: Any, tmp_path: Path
