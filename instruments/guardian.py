@@ -1,12 +1,12 @@
-"""A process beside the host that switches a lamp off when the host dies, hangs or forgets: for boards without a watchdog.
+"""A process beside the host that switches a lamp off when the host dies or hangs, for boards without a watchdog.
 
 Started by relays.py as `python -m phoslab.instruments.guardian SOCKET PORT OFF`: SOCKET and PORT are file descriptors
 that it inherits, OFF is what the board wants to hear, in hexadecimal. It inherits the port open, since opening it
 again may be refused, or toggle lines that reset a board.
 
-Each line from the host, `KEEP SECONDS`, says how long the lamp may stay on from now; `KEEP 0`: it is off. When that time
-is over, or the socket ends (which it does however the host dies), it switches off. It says `READY` at its start and
-`OFF` when it has switched off, and ends with the socket. It takes no notice of Ctrl-C.
+Each line from the host, `KEEP SECONDS`, says how long the lamp may stay on from now; `KEEP 0`: it is off. When that
+time is over, or the socket ends (which it does however the host dies), it switches off. It says `READY` at its start
+and `OFF` when it has switched off, and ends with the socket. It takes no notice of Ctrl-C.
 """
 
 from __future__ import annotations

@@ -218,9 +218,7 @@ class RelayLamp:
         timestamp = clock.wall().timestamp() - (clock.mono_s() - self._since_s)
 
         def reading(value: Any, unit: str) -> Reading:
-            return Reading(
-                value=value, unit=unit, timestamp=timestamp, mono_s=self._since_s, device_s=None
-            )
+            return Reading(value=value, unit=unit, timestamp=timestamp, mono_s=self._since_s, device_s=None)
 
         return {
             self.name: reading("on" if self._on else "off", ""),
@@ -283,14 +281,20 @@ class RelayLamp:
                 if b"OFF" in self._socket.recv(4096, socket.MSG_DONTWAIT):
                     self._on = False
                     raise DeviceError(
-                        "was switched off by its guardian: this program was silent for too long",
+                        "was switched off by its guardian: this program was silent, or a promise was not renewed",
                         field=self.name,
                         remedy="End what keeps this computer so busy, then stage it again.",
                     )
             self._socket.sendall(f"KEEP {keep_s:.3f}\n".encode())
         except (OSError, DeviceError) as error:
-            trouble = error if isinstance(error, DeviceError) else DeviceError(
-                "has lost its guardian process", field=self.name, remedy="Stage it again, and see what ended it."
+            trouble = (
+                error
+                if isinstance(error, DeviceError)
+                else DeviceError(
+                    "has lost its guardian process",
+                    field=self.name,
+                    remedy="Stage it again, and see what ended it.",
+                )
             )
             self._on_trouble(trouble)
             if keep_s > 0:

@@ -45,6 +45,8 @@ def main() -> None:
                     line = None
                 elif command == b"plug" and line is None:
                     line = plug()
+                elif command == b"time":
+                    print(f"pin time 0 {time.monotonic():.6f} 0", flush=True)
                 print(f"done {command.decode()}", flush=True)
         if line is not None and line[0] in ready:
             received += os.read(line[0], 4096)

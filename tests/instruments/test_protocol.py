@@ -7,6 +7,7 @@ may be late by a second now and then.
 from __future__ import annotations
 
 import itertools
+import random
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -155,6 +156,27 @@ def test_a_line_that_is_not_whole_is_called_garbled_and_does_nothing(
     assert reply is not None
     assert (reply.id, reply.code) == (0, "GARBLED")
     assert greeted.ask("STATUS").fields["lamp"] == "OFF"
+
+
+def test_noise_on_the_line_never_switches_anything_on(board: BoardProcess, greeted: Host) -> None:
+    """Random bytes, and good commands with a byte changed, which the checksum must catch (a burst of 8 bits)."""
+    rng = random.Random(1)
+    good = [wire.encode(f"{n} {command}") for n, command in enumerate(("LAMP ON 2000", "DOOR OPEN"), 200)]
+    moved = len(board.pins)
+    for _ in range(60):
+        greeted.port.write(rng.randbytes(rng.randrange(1, 200)) + b"\n")
+        line = bytearray(rng.choice(good))
+        line[rng.randrange(len(line) - 1)] ^= rng.randrange(1, 256)
+        greeted.port.write(bytes(line))
+        greeted.port.reset_input_buffer()
+        time.sleep(0.02)
+    greeted.port.write(b"\n")
+    time.sleep(0.5)
+    greeted.port.reset_input_buffer()
+    greeted._lines = wire.Lines()
+    greeted._pending.clear()
+    assert greeted.ask("STATUS").fields["lamp"] == "OFF"
+    assert board.pins[moved:] == []
 
 
 def test_empty_lines_and_carriage_returns_are_ignored(greeted: Host) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import serial
-from boards import BoardProcess, eventually, same_phoslab
+from boards import BoardProcess, eventually, raises_soon, same_phoslab
 from contracts import LATE_S, DoorContract, LampContract
 
 from phoslab.errors import PhoslabError
@@ -62,19 +62,6 @@ def troubles(rig: RigController) -> list[DeviceError]:
     return told
 
 
-def raises_soon(lamp: RigLamp, match: str, timeout_s: float = 8.0) -> DeviceError:
-    """Read until it raises; return what."""
-    end = time.monotonic() + timeout_s
-    while time.monotonic() < end:
-        try:
-            lamp.read()
-        except DeviceError as error:
-            assert match in str(error)
-            return error
-        time.sleep(0.01)
-    raise AssertionError(f"no error about {match!r} within {timeout_s:g} s")
-
-
 @pytest.mark.parametrize("fault", ["garble-replies", "lose-replies", "garble-requests", "lose-requests"])
 def test_a_garbled_or_lost_line_is_made_good_and_nothing_is_done_twice(
     board: BoardProcess, lamp: RigLamp, fault: str
@@ -92,7 +79,9 @@ def test_a_time_out_names_device_command_and_time(board: BoardProcess, lamp: Rig
     lamp.stage()
     board.do("lose-requests 1000000")
     # The heartbeat may be the first to notice; the lamp is then not even tried.
-    with pytest.raises(DeviceTimeoutError, match=r"rig did not do '(LAMP ON 2000|PING 0)' within \d(\.\d)? s"):
+    with pytest.raises(
+        DeviceTimeoutError, match=r"rig did not do '(LAMP ON 2000|PING 0)' within \d(\.\d)? s"
+    ):
         lamp.set("on").wait(20)
     board.do("lose-requests 0")
 
@@ -120,7 +109,7 @@ def test_a_stuck_relay_cannot_be_missed(
     time.sleep(0.3)
     board.do("relay stuck")
     lamp.set("off").wait(5)
-    raises_soon(lamp, "SHINES ALTHOUGH IT IS SWITCHED OFF")
+    raises_soon(lamp.read, "SHINES ALTHOUGH IT IS SWITCHED OFF")
     assert any("SHINES" in str(error) for error in troubles)
     board.pin("main", 0)
     for call in (lamp.read, door.read, lambda: door.set("open"), lambda: lamp.set("on")):
@@ -128,14 +117,14 @@ def test_a_stuck_relay_cannot_be_missed(
             call()
     lamp.set("off").wait(5)
     lamp.stage()  # somebody says that it is mended; it is not
-    raises_soon(lamp, "SHINES")
+    raises_soon(lamp.read, "SHINES")
 
 
 def test_a_dead_lamp_is_an_error(board: BoardProcess, lamp: RigLamp) -> None:
     lamp.stage()
     board.do("lamp dead")
     lamp.set("on").wait(5)
-    raises_soon(lamp, "gives no light")
+    raises_soon(lamp.read, "gives no light")
     assert eventually(lambda: board.level("lamp") == 0)
 
 
@@ -143,7 +132,7 @@ def test_the_maximum_on_time_is_an_error(board: BoardProcess) -> None:
     rig = RigController(board.port, max_on_s=0.8)
     rig.lamp.stage()
     rig.lamp.set("on").wait(5)
-    raises_soon(rig.lamp, "maximum on-time")
+    raises_soon(rig.lamp.read, "maximum on-time")
     rig.lamp.unstage()
 
 
@@ -155,7 +144,7 @@ def test_a_reset_of_the_controller_is_noticed_and_the_lamp_stays_off(
     lamp.allow_until(time.monotonic() + 60)
     lamp.set("on").wait(5)
     board.do(what)
-    raises_soon(lamp, "has been reset")
+    raises_soon(lamp.read, "has been reset")
     assert len(troubles) == 1
     with pytest.raises(DeviceError, match="has been reset"):
         lamp.set("on")
@@ -174,7 +163,7 @@ def test_a_pulled_cable_is_noticed_and_the_adapter_may_come_back_elsewhere(
     lamp.set("on").wait(5)
     pulled_s = time.monotonic()
     board.do("unplug")
-    raises_soon(lamp, "has gone")
+    raises_soon(lamp.read, "has gone")
     assert isinstance(troubles[0], DeviceGoneError)
     with pytest.raises(PhoslabError, match="is not there"):
         lamp.stage()
