@@ -26,7 +26,7 @@ def test_light_is_continuous_and_between_none_and_full(gaps: list[float], share:
     for t in (moments[0] + share * (moments[-1] - moments[0] + 10), -5.0):
         assert 0 <= lamp.level(t) <= 1
         assert 0 <= lamp.warmth(t) <= 1
-        assert 0 <= lamp.heating_C(t) <= Bulb().heat_C
+        assert 0 <= lamp.warming(t) <= Bulb().heat_C
 
 
 def test_the_lamp_is_dark_320_ms_after_it_was_switched_off_and_not_before() -> None:

@@ -131,7 +131,8 @@ def test_light_through_the_filter_excites_each_place_by_its_own_wavelength() -> 
     assert red < 0.05 * blue
     # All of it glows in the same colour, whatever excited it.
     bright = rgb[where < 430]
-    np.testing.assert_allclose(bright / bright[:, 1:2], np.broadcast_to(bright[0] / bright[0, 1], bright.shape), rtol=1e-9)
+    colours = bright / bright[:, 1:2]
+    np.testing.assert_allclose(colours, np.broadcast_to(colours[0], colours.shape), rtol=1e-9)
 
 
 def test_what_the_holder_covers_stays_dark() -> None:
@@ -201,7 +202,15 @@ def test_everything_is_a_function_of_seed_and_commands_with_their_times() -> Non
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"target": "moon"}, {"target": "sample 0"}, {"lvf": "x"}, {"filter": "L000"}, {"light": "sun"}, {"angle_deg": 90.0}]
+    "wrong",
+    [
+        {"target": "moon"},
+        {"target": "sample 0"},
+        {"lvf": "x"},
+        {"filter": "L000"},
+        {"light": "sun"},
+        {"angle_deg": 90.0},
+    ],
 )
 def test_what_is_not_there_cannot_be_placed(wrong: dict[str, object]) -> None:
     with pytest.raises(PhoslabError, match=next(iter(wrong))):

@@ -36,7 +36,9 @@ def test_a_paint_has_the_presets_colour(name: str) -> None:
         zip(material.bands.edges_nm[:-1], material.bands.edges_nm[1:], strict=True)
     ):
         nm = low + (np.arange(1000) + 0.5) / 1000 * (high - low)
-        assert sample.emission(nm).mean() * DIMNESS == pytest.approx(material.emission[0, k], rel=1e-3, abs=1e-4)
+        assert sample.emission(nm).mean() * DIMNESS == pytest.approx(
+            material.emission[0, k], rel=1e-3, abs=1e-4
+        )
         if k:  # below 437.5 nm excitation goes on into the violet as it is there
             relative = material.ke_m2_per_J[0, k] / material.ke_m2_per_J.max()
             assert sample.excitation(nm).mean() == pytest.approx(relative, rel=1e-3, abs=1e-4)

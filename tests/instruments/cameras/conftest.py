@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import phoslab.sample_data
 import pytest
+
+import phoslab.sample_data
 
 FRAMES = Path(phoslab.sample_data.__file__).parent / "sessions" / "green-decay" / "frames"
 

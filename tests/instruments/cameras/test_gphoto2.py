@@ -93,7 +93,7 @@ def test_a_frame_that_was_made_with_another_exposure_time_is_refused(
     camera.stage()
     camera.set(Exposure(1.0, 100, 2.8)).wait(10)
     camera.trigger().wait(10)
-    with pytest.raises(DeviceError, match="exposure_s 0.005 where 1 was set"):
+    with pytest.raises(DeviceError, match=r"exposure_s 0.005 where 1 was set"):
         camera.save(tmp_path / "a")
     camera.unstage()
 
@@ -170,7 +170,7 @@ class TestABodyThatMisbehaves:
             "5.6",
         )
         camera.trigger().wait(10)
-        with pytest.raises(DeviceError, match="iso 100 where 400 was set.*automatic ISO off"):
+        with pytest.raises(DeviceError, match=r"iso 100 where 400 was set.*automatic ISO off"):
             camera.save(tmp_path / "a")
 
     def test_the_card_is_where_frames_go(self, camera: GphotoCamera, library: FakeLibrary) -> None:
@@ -244,7 +244,7 @@ class TestABodyThatMisbehaves:
         camera.stage()
         library.full = True
         n = library.connections
-        with pytest.raises(DeviceError, match="full card.*format it"):
+        with pytest.raises(DeviceError, match=r"full card.*format it"):
             camera.trigger().wait(10)
         assert library.connections == n + 1
 
@@ -265,7 +265,7 @@ class TestABodyThatMisbehaves:
         self, camera: GphotoCamera, library: FakeLibrary
     ) -> None:
         library.claimed = True
-        with pytest.raises(DeviceGoneError, match="held by another program.*gio mount"):
+        with pytest.raises(DeviceGoneError, match=r"held by another program.*gio mount"):
             camera.stage()
 
     def test_a_truncated_download_is_told_and_the_frame_can_be_fetched_again(
