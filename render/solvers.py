@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phoslab.errors import PhoslabError
+from phoslab.errors import PhoslabError, look_up
 from phoslab.solvers import EULER_LIMIT, EXPLICIT_LIMIT, Drive
 
 Array = NDArray[np.float64]
@@ -95,13 +95,7 @@ def find_solver(name: str) -> Solver:
     Raises:
         PhoslabError: there is none of that name.
     """
-    if name not in SOLVERS:
-        raise PhoslabError(
-            f"{name!r} is unknown to the renderer",
-            field="solver",
-            remedy=f"Use one of: {', '.join(SOLVERS)}.",
-        )
-    return SOLVERS[name]
+    return look_up(SOLVERS, name, "the renderer's solver")
 
 
 def check_step(

@@ -198,7 +198,7 @@ def test_time_that_runs_backwards_is_refused(device, refuses, dt):
 @pytest.mark.parametrize("name", ["magic", "dop853"])
 def test_a_solver_that_the_gpu_has_not_names_those_that_it_has(device, refuses, name):
     message = refuses(BareState, device, [1.0], np.ones((2, 2, 1)), name)
-    assert f"{name!r} is unknown to the renderer" in message
+    assert f"the renderer's solver {name!r} is unknown" in message
     assert "euler, substep, exact, exact2, rk23" in message
 
 
