@@ -62,7 +62,11 @@ def costs(device: Device, side: int, repeats: int) -> Iterator[StepCost]:
     for solver, state_format in product(SOLVERS, FORMATS):
         with device.scope():
             state = BareState(device, KR, a, solver, state_format, 0.5)
-            works = [state.copy, partial(state.advance, 1 / 60), partial(state.advance, 1 / 60, DARK)]
+            works: list[Callable[[], None]] = [
+                state.copy,
+                partial(state.advance, 1 / 60),
+                partial(state.advance, 1 / 60, DARK),
+            ]
             if SOLVERS[solver].closed_form:
                 works.append(partial(state.advance, 60.0))
             took, ratios = _in_turns(device, works, repeats)
