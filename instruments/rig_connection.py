@@ -9,7 +9,7 @@ from datetime import datetime
 
 from phoslab.instruments import wire
 from phoslab.instruments.device_clock import DeviceClock
-from phoslab.instruments.devices import Clock, DeviceError
+from phoslab.instruments.devices import AlarmError, Clock, DeviceError
 from phoslab.instruments.link import Answer, Link, greet
 from phoslab.instruments.recorder import SystemClock
 

@@ -47,6 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the host; the bench sees to the lamp
     signal.signal(signal.SIGTERM, lambda *_: _end())
+    os.umask(0o077)  # socket and clock are for their owner
     folder: Path = options.folder
     laboratory = None
     try:

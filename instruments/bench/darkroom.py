@@ -10,12 +10,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.instruments.bench import lights, scene
 from phoslab.instruments.bench.camera import CANON, Camera
@@ -177,13 +177,13 @@ class Darkroom:
         moments = {*self.lamp.changes(open_s, close_s), *self.door.changes(open_s, close_s)}
         moments |= {p.at_s for p in self._placed if open_s < p.at_s < close_s}
         stops = [open_s, *sorted(moments), close_s]
-        for begin, end in zip(stops[:-1], stops[1:], strict=True):
+        for begin, end in pairwise(stops):
             moving = self.door.share(begin) != self.door.share(end)
             changing = self._level(placed, begin) != self._level(placed, end)
             n = math.ceil((end - begin) / _SHUTTER_STEP_S) if moving else 1
             n = max(n, min(50, math.ceil((end - begin) / _SHUTTER_STEP_S))) if changing else n
             edges = np.linspace(begin, end, n + 1)
-            for a, b in zip(edges[:-1], edges[1:], strict=True):
+            for a, b in pairwise(edges):
                 share = self.door.share((a + b) / 2)
                 if share == 0.0:
                     continue
@@ -198,7 +198,7 @@ class Darkroom:
 
     def light(self, piece: int, at_s: float) -> Array:
         """(places,) a piece's light at a moment that is past and not before the last exposure, for tests."""
-        return self._film(piece, at_s).light(self._temperature_C(at_s))
+        return self._film(piece, at_s).light(self._warmth(at_s))
 
     # --- samples ------------------------------------------------------------------------------
 
@@ -218,12 +218,12 @@ class Darkroom:
         moments |= {p.at_s for p in self._placed if begin_s < p.at_s < end_s}
         stops = [begin_s, *sorted(moments), end_s]
         total: Array = np.zeros(1)
-        for a, b in zip(stops[:-1], stops[1:], strict=True):
+        for a, b in pairwise(stops):
             placed = self._placed_at(a)
             drive = self._drive(placed, piece, a, b)
             if drive is not None and placed.stage.lvf == "sample":
                 film = film.spread(COLUMNS + 1)
-            film, light = film.advance(b - a, drive, lambda t, a=a: self._temperature_C(a + t))  # type: ignore[misc]
+            film, light = film.advance(b - a, drive, lambda t, a=a: self._warmth(a + t))  # type: ignore[misc]
             total = total + light
         return film, total
 
@@ -252,8 +252,9 @@ class Darkroom:
             self._drives[key] = self.sample.excitation_per_s * spectrum_sum / 400.0
         return self._drives[key]
 
-    def _temperature_C(self, t_s: float) -> float:
-        return self.room.at(t_s) + self.lamp.heating_C(t_s)
+    def _warmth(self, t_s: float) -> float:
+        """Temperature of what lies under the lamp, in °C."""
+        return self.room.at(t_s) + self.lamp.warming(t_s)
 
     # --- light --------------------------------------------------------------------------------
 
@@ -359,14 +360,3 @@ def _patch(name: str) -> Array:
             remedy=f"Say patch: and one of {', '.join(known)}.",
         )
     return known[name]
-
-
-def lamp_irradiance(darkroom: Darkroom, bands: Bands) -> Array:
-    """(n_λ,) band means of the rig lamp's irradiance, in the bench's scale: the truth for tests."""
-    fine = darkroom._light(Stage())
-    return np.array(
-        [
-            fine[(low <= NM) & (high > NM)].mean()
-            for low, high in zip(bands.edges_nm[:-1], bands.edges_nm[1:], strict=True)
-        ]
-    )

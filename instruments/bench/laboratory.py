@@ -148,10 +148,19 @@ class Laboratory:
                 self._next_exposure()
                 body.check(int(asked["connection"]))
                 return {"number": body.expose().number}
+            case "abort":
+                body.check(int(asked["connection"]))
+                body.abort()
+                return {}
             case "phase":
                 body.check(int(asked["connection"]))
                 shot = body.card[int(asked["number"])]
-                return {"phase": body.tell(shot), "ready_s": shot.close_s + body.readout_s}
+                phase = body.tell(shot)
+                return {
+                    "phase": phase,
+                    "now_s": self.keeper.now_s(),
+                    "ready_s": shot.close_s + body.readout_s,
+                }
         raise ValueError(f"there is no {do!r}")
 
     # --- time ---------------------------------------------------------------------------------

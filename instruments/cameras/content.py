@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
 from phoslab.errors import PhoslabError
-from phoslab.instruments.devices import DeviceError, Exposure
+from phoslab.instruments.devices import DeviceError
 from phoslab.raw import SETTING_TOLERANCE, read_settings
 
 _SAVE_RAW = "Set the camera's image quality to RAW alone."
@@ -62,7 +63,7 @@ def suffix_of(path: Path) -> str:
     return next((suffix for maker, suffix in makers if maker in head.upper()), "raw")
 
 
-def check_raw(path: Path, device: str, exposure: Exposure | None) -> None:
+def check_raw(path: Path, device: str, settings: Mapping[str, float | None]) -> None:
     """Check that a file is a whole RAW frame with the settings that were asked for.
 
     The decoder runs in a limited process (phoslab.limited): nobody vouches for what a cable delivers.
@@ -70,7 +71,7 @@ def check_raw(path: Path, device: str, exposure: Exposure | None) -> None:
     Args:
         path: the file.
         device: the camera, for messages.
-        exposure: the settings; what is None, or what the file does not say, is not compared.
+        settings: exposure_s, iso and f_number; what is None, or what the file does not say, is not compared.
 
     Raises:
         DeviceError: it is not. The file is left as it is.
@@ -87,10 +88,8 @@ def check_raw(path: Path, device: str, exposure: Exposure | None) -> None:
             field=device,
             remedy="Fetch it again; if that does not help, look at the camera's card and image quality.",
         ) from error
-    if exposure is None:
-        return
-    for name in ("exposure_s", "iso", "f_number"):
-        wanted, said = getattr(exposure, name), found[name]
+    for name, wanted in settings.items():
+        said = found[name]
         if wanted is None or said is None:
             continue
         if abs(math.log(said / wanted)) > math.log1p(SETTING_TOLERANCE):

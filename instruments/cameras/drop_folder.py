@@ -116,14 +116,16 @@ class DropFolder(Tethered):
     def _release(self, exposure: Exposure | None) -> Opened:
         exposure = exposure or self._exposure or Exposure(1.0, 100.0, None)
         self._known = self._look()  # what has come unasked is not the answer
-        began_s, until = self._clock.mono_s(), time.monotonic() + exposure.exposure_s + self._patience_s
-        self._run(exposure, until)
+        began_s = self._clock.mono_s()
+        self._run(exposure)
+        # A command may return before the exposure is over.
+        until = time.monotonic() + exposure.exposure_s + self._patience_s
         path, seen_s = self._await_frame(exposure, until)
         self._file, self._suffix = path, suffix_of(path)
         latest_s = max(began_s, seen_s - exposure.exposure_s)
         return Opened((began_s + latest_s) / 2, (latest_s - began_s) / 2 + _LOOK_S)
 
-    def _run(self, exposure: Exposure, until: float) -> None:
+    def _run(self, exposure: Exposure) -> None:
         if not self._command:
             return
         values = {key: "" if value is None else f"{value:g}" for key, value in asdict(exposure).items()}
@@ -135,7 +137,7 @@ class DropFolder(Tethered):
                 capture_output=True,
                 text=True,
                 errors="replace",
-                timeout=max(0.1, until - time.monotonic()),
+                timeout=exposure.exposure_s + self._patience_s,
                 check=False,
             )
         except subprocess.TimeoutExpired as error:
@@ -177,35 +179,38 @@ class DropFolder(Tethered):
                         continue  # renamed, or taken away again
                     except DeviceError as error:
                         # Perhaps the software is slow and it grows on; perhaps the RAW file is still to come.
-                        trouble = error
+                        trouble = trouble if trouble and isinstance(error, _NoRawError) else error
                         continue
                     return path, first_seen[path]
         if trouble is not None:
             raise trouble
-        raise DeviceTimeoutError(self._name, f"write a frame into {self._folder}", round(time.monotonic() - begin, 1))
+        raise DeviceTimeoutError(
+            self._name, f"write a frame into {self._folder}", round(time.monotonic() - begin, 1)
+        )
 
     def _judge(self, path: Path, exposure: Exposure) -> None:
         with path.open("rb") as stream:
             kind = not_raw(stream.read(16))
         if kind is not None:
-            raise DeviceError(
+            raise _NoRawError(
                 f"wrote {kind} ({path.name}) and no RAW file",
                 field=self._name,
                 remedy="Let its software save RAW files.",
             )
-        check_raw(path, self._name, exposure if self._choices else None)
+        check_raw(path, self._name, {name: getattr(exposure, name) for name in self._choices})
 
     def _fetch(self, path: Path) -> None:
         if self._file is None:
             raise DeviceError("has lost the frame", field=self._name, remedy="Expose again.")
         try:
-            shutil.copyfile(self._file, path)
+            content = self._file.read_bytes()
         except FileNotFoundError as error:
             raise DeviceError(
                 f"has no {self._file.name} any more: something took it away",
                 field=self._name,
                 remedy="Let nothing else use the folder meanwhile.",
             ) from error
+        path.write_bytes(content)
 
     def _forget(self) -> None:
         self._file = None
@@ -231,6 +236,10 @@ class DropFolder(Tethered):
                 remedy="Is its disk still there?",
             ) from error
         return found
+
+
+class _NoRawError(DeviceError):
+    """A picture where a RAW file should be; one may lie beside it."""
 
 
 def _filled(part: str, values: Mapping[str, str]) -> str:

@@ -41,6 +41,9 @@ _READ_OUT_S = 30.0
 _SETTLE_S, _TRIAL_SETTLE_S = 0.06, 1.0
 """For which more files of the same exposure are waited for: a JPEG beside the RAW file comes last."""
 
+_GIVEN_UP_S = 5.0
+"""From the end of an exposure that was stopped until its file has come."""
+
 _RAW_ALONE = "Set its image quality to RAW alone."
 
 _STORE_FULL = "PTP Event 400a"
@@ -87,6 +90,7 @@ class GphotoCamera(Tethered):
         self._suffix = "raw"
         self._file: tuple[str, str] | None = None
         self._settle_s = _SETTLE_S
+        self._given_up_until = 0.0
 
     @property
     def suffix(self) -> str:
@@ -146,7 +150,12 @@ class GphotoCamera(Tethered):
         self._prefer("autofocus", ("Off",))
         self._prefer("reviewtime", ("None", "Off"))
         for alias, good, problem, remedy in (
-            ("focusmode", ("manual", "mf"), "focuses by itself", "Switch lens and body to manual focus (MF)."),
+            (
+                "focusmode",
+                ("manual", "mf"),
+                "focuses by itself",
+                "Switch lens and body to manual focus (MF).",
+            ),
             ("autofocus", ("off",), "focuses by itself", "Switch lens and body to manual focus (MF)."),
             ("autoexposuremode", ("manual", "m"), "exposes by itself", "Turn its dial to M."),
             ("expprogram", ("m", "manual"), "exposes by itself", "Turn its dial to M."),
@@ -183,7 +192,7 @@ class GphotoCamera(Tethered):
         with tempfile.TemporaryDirectory(prefix="phoslab-") as folder:
             path = Path(folder) / "trial"
             self._fetch(path)
-            check_raw(path, self._name, None)
+            check_raw(path, self._name, {})
             self._suffix = suffix_of(path)
         self._forget()
 
@@ -198,7 +207,9 @@ class GphotoCamera(Tethered):
             alias, text = self._alias(name), self._choices[name][nearest]
             self._patiently(lambda alias=alias, text=text: self._write(alias, text), self._is_busy, _BUSY_S)  # type: ignore[misc]
             if (found := _number(str(self._value(alias)))) is None or abs(found / nearest - 1) > 0.02:
-                raise self._refused(f"keeps {name} at {self._value(alias)} where {text} was set", "Turn its dial to M.")
+                raise self._refused(
+                    f"keeps {name} at {self._value(alias)} where {text} was set", "Turn its dial to M."
+                )
 
     def _offered(self, aliases: Sequence[str]) -> dict[float, str]:
         for alias in aliases:
@@ -261,15 +272,18 @@ class GphotoCamera(Tethered):
         return moments[0], moments[1]
 
     def _drain(self) -> None:
-        """Take what the queue still holds: it is of an exposure before."""
-        until = time.monotonic() + _SETTLE_S
+        """Take what the queue still holds: it is of an exposure before, perhaps one that was stopped."""
+        until = max(self._given_up_until, time.monotonic() + _SETTLE_S)
         while time.monotonic() < until:
             kind, data = self._event(1)
-            if kind == self._gp.GP_EVENT_TIMEOUT:
+            given_up = time.monotonic() < self._given_up_until
+            if kind == self._gp.GP_EVENT_TIMEOUT and not given_up:
                 return
             if kind == self._gp.GP_EVENT_FILE_ADDED:
                 self._delete((str(data.folder), str(data.name)))
-                raise self._refused("made another file after an exposure", _RAW_ALONE)
+                if not given_up:
+                    raise self._refused("made another file after an exposure", _RAW_ALONE)
+                until = self._given_up_until = 0.0
 
     def _event(self, wait_ms: int) -> tuple[int, Any]:
         kind, data = self._call(lambda: self._camera.wait_for_event(wait_ms))
@@ -287,6 +301,9 @@ class GphotoCamera(Tethered):
         files: list[tuple[str, str]] = []
         # Bodies never stop to tell of their properties: what counts is the time, not that they fall silent.
         while (left_s := until - time.monotonic()) > 0:
+            if self._stopped.is_set() and not files:
+                # No body takes a release back: its file will come, and is not of the next exposure.
+                self._given_up_until = begin + exposure_s + _GIVEN_UP_S
             self._pause(0.0)
             kind, data = self._event(max(1, min(200, int(1000 * left_s))))
             if kind == self._gp.GP_EVENT_UNKNOWN and str(data).startswith(_STORE_FULL):
@@ -346,7 +363,9 @@ class GphotoCamera(Tethered):
         except self._gp.GPhoto2Error as error:
             code, words = int(error.code), str(error.string)
             if code == _BUSY or "busy" in words.lower():
-                raise _BusyError("is busy", field=self._name, remedy="Wait a moment and try again.") from error
+                raise _BusyError(
+                    "is busy", field=self._name, remedy="Wait a moment and try again."
+                ) from error
             if code in (_NO_SPACE, _NO_MEMORY):
                 raise _full(self._name) from error
             if code == _CLAIM:

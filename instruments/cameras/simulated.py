@@ -9,6 +9,7 @@ camera.save(Path("0000.dng"))
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Sequence
@@ -90,7 +91,15 @@ class SimulatedCamera(Tethered):
 
         self._patiently(release, _busy, _BUSY_S)
         self._number = int(shot["number"])
-        not_before_s = float(shot["asked_s"])
+        try:
+            return self._watch(float(shot["asked_s"]))
+        except DeviceError:
+            with contextlib.suppress(DeviceError):
+                self._ask("abort")
+            raise
+
+    def _watch(self, not_before_s: float) -> Opened:
+        """See the shutter open, and wait until the frame is there."""
         while True:
             asked_s = self._clock.mono_s()
             state = self._ask("phase", number=self._number)
@@ -98,7 +107,9 @@ class SimulatedCamera(Tethered):
                 break
             not_before_s = asked_s
             self._pause(_POLL_S)
-        not_after_s = self._clock.mono_s()
+        not_after_s = float(
+            state["now_s"]
+        )  # not this side's: the clock may jump while the answer is on its way
         self.ready_s = float(state["ready_s"])
         while state["phase"] != "ready":
             self._pause(_POLL_S)

@@ -10,7 +10,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +108,9 @@ class Tethered(abc.ABC):
         """Let it go."""
         self.stop()
         with self._doing:
-            with contextlib.suppress(Exception):  # it is gone, or lets go badly: either way we are done with it
+            with contextlib.suppress(
+                Exception
+            ):  # it is gone, or lets go badly: either way we are done with it
                 self._disconnect()
             self._staged = False
         return [self]
@@ -141,7 +143,7 @@ class Tethered(abc.ABC):
             if not self._unsaved:
                 raise DeviceError("has no frame to save", field=self._name, remedy="Expose first.")
             self._fetch(path)
-            check_raw(path, self._name, self._exposure)
+            check_raw(path, self._name, {} if self._exposure is None else asdict(self._exposure))
             self._forget()
             self._unsaved = False
 
