@@ -90,7 +90,7 @@ def _charged(
     yield Door("closed")
     yield Lamp("on")
     yield Wait(charge_s, "charging")
-    exposure: Exposure = yield from meter_glow(setup.ladder.up_to(p.longest_s), setup)
+    exposure: Exposure = yield from meter_glow(setup.ladder.up_to(p.longest_s), setup, charge_s)
     off_s: float = yield Lamp("off")
     yield Wait(setup.fade_s, "the lamp fades", since_s=off_s)
     open_s: float = yield Door("open")

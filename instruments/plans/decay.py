@@ -28,7 +28,7 @@ def decay(p: Decay, setup: Setup) -> Plan:
     yield Door("closed")
     yield Lamp("on")
     yield Wait(p.charge_s, "charging")
-    exposure = yield from meter_glow(setup.ladder.up_to(p.longest_s), setup)
+    exposure = yield from meter_glow(setup.ladder.up_to(p.longest_s), setup, p.charge_s)
     # Trials took light; give it back before the series.
     yield Wait(min(600.0, p.charge_s / 4), "charging")
     off_s: float = yield Lamp("off")

@@ -19,7 +19,7 @@ def emission(p: Emission, setup: Setup) -> Plan:
     yield Lamp("on")
     yield Wait(p.charge_s, "charging")
     ladder = setup.ladder.up_to(p.longest_s)
-    exposure: Exposure = yield from meter_glow(ladder, setup)
+    exposure: Exposure = yield from meter_glow(ladder, setup, p.charge_s)
     off_s: float = yield Lamp("off")
     yield Wait(setup.fade_s, "the lamp fades", since_s=off_s)
     yield Door("open")

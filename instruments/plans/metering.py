@@ -28,10 +28,15 @@ def meter(ladder: Ladder, start: Exposure | None = None) -> Generator[Step, Any,
     return exposure
 
 
-def meter_glow(ladder: Ladder, setup: Setup, start: Exposure | None = None) -> Generator[Step, Any, Exposure]:
+def meter_glow(
+    ladder: Ladder, setup: Setup, charge_s: float, start: Exposure | None = None
+) -> Generator[Step, Any, Exposure]:
     """Return the setting for the first frame after lamp-off: the lamp goes off for each trial, and on again after it.
 
     Every trial sees the glow just as the first frame will, so the fastest part of a decay cannot overexpose it.
+
+    Args:
+        charge_s: how long the lamp has shone before.
     """
     exposure = start if start in ladder.rungs else ladder.middle
     for _ in range(TRIALS):
@@ -41,7 +46,7 @@ def meter_glow(ladder: Ladder, setup: Setup, start: Exposure | None = None) -> G
         shot: Shot = yield Shoot("meter", exposure)
         yield Door("closed")
         yield Lamp("on")
-        yield Wait(RECHARGE_S, "charging again after a trial")
+        yield Wait(min(RECHARGE_S, charge_s), "charging again after a trial")
         exposure, sure = _better(ladder, shot)
         if sure:
             break

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import select
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -270,7 +269,9 @@ def _wait_for_enter(check: Callable[[], None]) -> None:
             ready, _, _ = select.select([handle], [], [], 0.2)
             if not ready:
                 continue
-            typed = os.read(handle, 4096)
+            typed = os.read(
+                handle, 1
+            )  # no further than the line's end: the next one is for the next question
         except (OSError, ValueError):
             typed = b""
         if b"\n" in typed:
@@ -281,4 +282,3 @@ def _wait_for_enter(check: Callable[[], None]) -> None:
                 field="the input",
                 remedy="Run it in a terminal; phoslab resume goes on from here.",
             )
-        time.sleep(0.01)
