@@ -10,7 +10,18 @@ import pytest
 DOCS = sorted((Path(__file__).parent.parent / "docs").glob("*.md"))
 
 
-PACKAGES = ("", ".app", ".fitting", ".instruments", ".instruments.bench", ".presets", ".render", ".schemas")
+PACKAGES = (
+    "",
+    ".app",
+    ".app.trades",
+    ".fitting",
+    ".instruments",
+    ".instruments.bench",
+    ".presets",
+    ".render",
+    ".schemas",
+    ".trades",
+)
 
 
 def _modules():
