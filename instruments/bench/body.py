@@ -160,7 +160,7 @@ class Body:
         self._files: dict[int, bytes] = {}
         rng = np.random.default_rng([0xB0D7, self.room.camera.serial])
         # Third stops are what a camera means, whatever it writes on its dial, and it meets them only so well.
-        self._true: dict[str, dict[float, float]] = {
+        self.true: dict[str, dict[float, float]] = {
             "exposure_s": dict(
                 zip(_EXPOSURES, _off(2.0 ** (np.arange(-39, 16) / 3), 0.004, rng), strict=True)
             ),
@@ -214,9 +214,9 @@ class Body:
         self.late_s = 0.0
         exposure_s, iso, f_number = self.settings
         true = (
-            float(self._true["exposure_s"][exposure_s]),
-            float(self._true["iso"][iso]),
-            float(self._true["f_number"][f_number]),
+            float(self.true["exposure_s"][exposure_s]),
+            float(self.true["iso"][iso]),
+            float(self.true["f_number"][f_number]),
         )
         shot = Shot(self.exposures, self.keeper.now_s() + lag_s, self.settings, true)
         self.card[shot.number] = shot

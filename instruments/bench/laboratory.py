@@ -8,6 +8,7 @@ is measured in it: a jump of hours is no silence.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import select
 import threading
@@ -22,6 +23,7 @@ from phoslab.instruments.bench.controller import SimulatedController
 from phoslab.instruments.bench.darkroom import Darkroom, Stage
 from phoslab.instruments.bench.faults import Fault, parse
 from phoslab.instruments.bench.timekeeper import Timekeeper
+from phoslab.instruments.bench.truth import truth
 from phoslab.instruments.bench.wiring import Wiring
 
 _AWAY_S = 1.0
@@ -81,6 +83,10 @@ class Laboratory:
                 content = self.body.develop(int(asked["number"]))
                 with self._lock:
                     return {"size": len(content)}, self.body.sent(content)
+        if do == "truth":
+            with self._developing:
+                known = truth(self.room, self.body, int(asked["piece"]), [float(t) for t in asked["times_s"]])
+                return {}, json.dumps(known).encode()
         if do == "delete":
             with self._developing:
                 self.body.check(int(asked["connection"]))

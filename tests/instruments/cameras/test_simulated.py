@@ -53,18 +53,21 @@ def test_waiting_for_an_exposure_of_30_s_takes_its_lag_only(lab: Laboratory, cam
     assert time.monotonic() - begin < 10
 
 
-def test_a_jump_does_not_hide_when_the_shutter_opened(lab: Laboratory, camera: SimulatedCamera) -> None:
-    """A plan that sleeps until the exposure must be over lets the clock jump while the shutter is about to open."""
+def test_a_jump_neither_outruns_the_shutter_nor_hides_when_it_opened(
+    lab: Laboratory, camera: SimulatedCamera
+) -> None:
+    """A plan that sleeps until the exposure must be over lets the clock jump right after the release."""
     camera.stage()
     camera.set(Exposure(10.0, 100.0, 2.8)).wait(10)
-    before_s = lab.clock.mono_s()
-    status = camera.trigger()
-    lab.clock.sleep_until(before_s + 10)
-    status.wait(10)
-    readings = camera.read()
-    # It lags by 65 ms, and was seen then: not at the end of a jump of 10 s.
-    assert readings["start"]["value"] - before_s < 5
-    assert readings["start_uncertainty"]["value"] < 2
+    for _ in range(10):
+        before_s = lab.clock.mono_s()
+        status = camera.trigger()
+        lab.clock.sleep_until(before_s + 10)
+        status.wait(10)
+        readings = camera.read()
+        # It lags by 65 ms, and was seen then: not at the end of a jump of 10 s.
+        assert readings["start"]["value"] - before_s < 5
+        assert readings["start_uncertainty"]["value"] < 2
 
 
 def test_the_same_light_at_other_settings_is_the_same_but_for_what_the_dial_leaves_out(
