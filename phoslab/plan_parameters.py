@@ -195,7 +195,7 @@ def _value(plan: str, about: dataclasses.Field[Any], value: Any, file: Any) -> A
             raise ValueError
         # A list of one number is a number where it is typed.
         read = kind(f"{value:g}" if kind is str and isinstance(value, int | float) else value)
-        if kind is not str and (not math.isfinite(read) or read < low or read != float(value)):
+        if not isinstance(read, str) and (not math.isfinite(read) or read < low or read != float(value)):
             raise ValueError
         if choices and read not in choices:
             raise ValueError
