@@ -16,10 +16,10 @@ SAMPLES = (Sample(), paint("green"), paint("red"))
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=lambda s: s.name)
 def test_charge_and_decay_agree_with_a_solver_of_ten_digits(sample: Sample) -> None:
-    """Each step may miss the light by ten tolerances; a hundred of them, of one sign, by a thousand."""
+    """A step may miss by a tolerance; some hundred of them, all of one sign, by a hundred tolerances."""
     film, given_off = Film.dark(sample).advance(600.0, lambda _: np.array([0.02]))
     state, known = sample.advance(sample.empty, 600.0, lambda _: 0.02)
-    bound = 1000 * TOLERANCE
+    bound = 100 * 5e-6  # the tolerance, as a number: a coarser one is to fail here
     np.testing.assert_allclose(film.state[0].sum(), state.sum(), rtol=bound)
     np.testing.assert_allclose(given_off, known, rtol=bound)
     for duration_s in (0.3, 5.0, 175.0):
@@ -36,7 +36,7 @@ def test_each_place_has_its_own_light_as_if_it_were_alone() -> None:
     for k, drive in enumerate(drives):
         alone, _ = Film.dark(sample).advance(60.0, lambda _, drive=drive: np.array([drive]))
         # Steps are common to all places, so not the same: each within its tolerance.
-        np.testing.assert_allclose(together.state[k].sum(), alone.state[0].sum(), rtol=1000 * TOLERANCE)
+        np.testing.assert_allclose(together.state[k].sum(), alone.state[0].sum(), rtol=200 * TOLERANCE)
 
 
 def test_a_dark_sample_stays_dark() -> None:
