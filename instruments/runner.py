@@ -141,7 +141,8 @@ class Runner:
     def __init__(self, lab: Laboratory, recorder: Recorder, history: History | None = None) -> None:
         self.lab, self.recorder, self.history = lab, recorder, history or History()
         self._exposure: Exposure | None = None
-        self._dark_since_s = recorder.mono_s()  # nobody knows what shone on the sample before
+        self._began_s = recorder.mono_s()
+        self._dark_since_s = self._began_s  # nobody knows what shone on the sample before
         self._lamp_on = False
         self._edges: dict[str, str] = {}
         self._lag_s = 0.0
@@ -337,6 +338,8 @@ class Runner:
         """Record that lamp or door changed, once; return when."""
         # A controller's clock is mapped to ours to a millisecond or so: the moment may come out a little late.
         at_s = min(reading["mono_s"] + self.recorder.offset_s, self.recorder.mono_s())
+        # What was so before this run has no moment in the session: the clock may have been set in between.
+        at_s = max(at_s, self._began_s)
         if self._edges.get(device) != to:
             self.recorder.edge(device, to, at_mono_s=at_s, at_device_s=reading["device_s"])
             self._edges[device] = to
