@@ -97,7 +97,13 @@ def test_the_panel_shows_level_lamp_door_trouble_and_the_curve() -> None:
     live.trouble("camera is busy")
     console.print(live._draw())
     told = console.export_text()
-    for words in ("lamp off", "door open", "0004.dng decay 0.5 s ISO 100 f/2.8", "0 to 20 s", "! camera is busy"):
+    for words in (
+        "lamp off",
+        "door open",
+        "0004.dng decay 0.5 s ISO 100 f/2.8",
+        "0 to 20 s",
+        "! camera is busy",
+    ):
         assert words in told
 
 
