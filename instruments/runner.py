@@ -66,6 +66,9 @@ LAMP_S, DOOR_S, CAMERA_S = 10.0, 15.0, 60.0
 SLICE_S = 0.25
 """How often a wait asks whether it shall end, in s of the real clock."""
 
+LOOK_S = 5.0
+"""How often a long wait looks at the lamp, in s of the real clock."""
+
 LOST_IN_A_ROW = 5
 """So many lost frames in a row are no accident."""
 
@@ -147,6 +150,7 @@ class Runner:
         self._edges: dict[str, str] = {}
         self._lag_s = 0.0
         self._lost = 0
+        self._looked = time.monotonic()
 
     def run(self, plan: Callable[[], Plan]) -> None:
         """Run to the end; a part whose devices fail is begun again.
@@ -460,6 +464,8 @@ class Runner:
         lab, slice_s = self.lab, SLICE_S
         while (left_s := until_s - self.recorder.mono_s()) > 0:
             lab.interrupts.check()
+            if left_s > 2.0 and time.monotonic() - self._looked > LOOK_S:
+                self._check_lamp()  # a relay that sticks hours before the next frame must not wait for it
             step_s = min(left_s, slice_s)
             self._allow(step_s)
             before_s = time.monotonic()
@@ -485,6 +491,7 @@ class Runner:
     def _check_lamp(self) -> None:
         """The lamp must be what the plan thinks it is; a lamp that is off may be out of reach for a while."""
         lamp = self.lab.lamp
+        self._looked = time.monotonic()
         try:
             now = lamp.read()[lamp.name]["value"]
         except AlarmError:
