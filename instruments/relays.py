@@ -13,6 +13,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,14 @@ from typing import Any, Literal
 import serial
 
 import phoslab
-from phoslab.instruments.devices import Clock, DeviceError, DeviceGoneError, Reading, Status
+from phoslab.instruments.devices import (
+    Clock,
+    DeviceError,
+    DeviceGoneError,
+    DeviceTimeoutError,
+    Reading,
+    Status,
+)
 from phoslab.instruments.link import open_port
 from phoslab.instruments.recorder import SystemClock
 
@@ -29,6 +37,8 @@ BEAT_S = 0.5
 KEEP_S = 2.0
 FIRST_PROMISE_S = 10.0
 """What switching the lamp on promises where `allow_until` has not been called before."""
+WRITE_S = 1.0
+"""How long a command may take to get on the wire (see open_port); 4 ms is usual."""
 RELAY_S = 0.010
 """How long the armature of a small relay takes, at most."""
 
@@ -253,8 +263,11 @@ class RelayLamp:
             self._tell_guardian(min(KEEP_S, self._left_s()))  # before the lamp is on
         begun_s = self._clock.mono_s()
         try:
-            line.write(self._commands.on if on else self._commands.off)
-            line.flush()
+            self._write(line, on)
+        except serial.SerialTimeoutException as error:
+            late = DeviceTimeoutError(self.name, f"set {'on' if on else 'off'}", WRITE_S)
+            self._on_trouble(late)
+            raise late from error
         except (OSError, TypeError) as error:
             gone = DeviceGoneError(
                 f"has gone from {self._port} ({error})",
@@ -272,6 +285,15 @@ class RelayLamp:
             self._until_s = None
             if self._socket is not None:
                 self._tell_guardian(0.0)
+
+    def _write(self, line: serial.Serial, on: bool) -> None:
+        """Write a command and wait until it is on the wire; `Serial.flush` would wait for ever."""
+        until = time.monotonic() + WRITE_S
+        line.write(self._commands.on if on else self._commands.off)
+        while line.out_waiting:
+            if time.monotonic() > until:
+                raise serial.SerialTimeoutException("not on the wire")
+            time.sleep(0.001)
 
     def _tell_guardian(self, keep_s: float) -> None:
         """Say how long the lamp may stay on; notice that the guardian has died, or has had to switch off."""

@@ -46,6 +46,7 @@ class BoardProcess:
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, env=same_phoslab()
         )
         self.kind = ""
+        self.pid = self._process.pid
         self.port = str(link)
         self.paths: list[str] = []
         self.pins: list[Pin] = []

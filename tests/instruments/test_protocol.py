@@ -168,13 +168,10 @@ def test_noise_on_the_line_never_switches_anything_on(board: BoardProcess, greet
         line = bytearray(rng.choice(good))
         line[rng.randrange(len(line) - 1)] ^= rng.randrange(1, 256)
         greeted.port.write(bytes(line))
-        greeted.port.reset_input_buffer()
-        time.sleep(0.02)
+        greeted.next(0.02)
     greeted.port.write(b"\n")
-    time.sleep(0.5)
-    greeted.port.reset_input_buffer()
-    greeted._lines = wire.Lines()
-    greeted._pending.clear()
+    while greeted.next(2.0) is not None:
+        pass  # each was called garbled; a slow simulator is still at it
     assert greeted.ask("STATUS").fields["lamp"] == "OFF"
     assert board.pins[moved:] == []
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -11,11 +12,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import serial
 from boards import HERE, BoardProcess, eventually, raises_soon, same_phoslab
 from contracts import LATE_S, LampContract
 
 from phoslab.errors import PhoslabError
-from phoslab.instruments.devices import DeviceError, DeviceGoneError
+from phoslab.instruments.devices import DeviceError, DeviceGoneError, DeviceTimeoutError
 from phoslab.instruments.relays import KINDS, RelayLamp
 
 
@@ -79,6 +81,21 @@ def test_a_second_user_is_told_who_has_the_port(board: BoardProcess, lamp: Relay
     lamp.stage()
     with pytest.raises(DeviceGoneError, match=f"in use by process {os.getpid()}"):
         RelayLamp(board.port, board.kind, accept_no_failsafe=True).stage()
+
+
+def test_a_port_that_takes_nothing_is_a_time_out_with_device_command_and_time(
+    board: BoardProcess, lamp: RelayLamp
+) -> None:
+    lamp.stage()
+    os.kill(board.pid, signal.SIGSTOP)
+    assert lamp._line is not None
+    with contextlib.suppress(serial.SerialTimeoutException):
+        while True:  # until the system holds no more for a reader that does not read
+            lamp._line.write(b"\0")
+    status = lamp.set("off")
+    os.kill(board.pid, signal.SIGCONT)
+    with pytest.raises(DeviceTimeoutError, match="lamp did not do 'set off' within 1 s"):
+        status.wait(5)
 
 
 HOST = """
