@@ -15,6 +15,9 @@ from phoslab.errors import PhoslabError
 from phoslab.render.device import Device
 from phoslab.render.frame import Frame as Frame
 from phoslab.render.frames import Frames as Frames
+from phoslab.render.glow_methods import find_method
+from phoslab.render.glow_transport import NONE
+from phoslab.render.glow_transport import TransportParameters as TransportParameters
 from phoslab.render.memory import check_room, picture_bytes
 from phoslab.render.phosphor_state import Stepping, check_work
 from phoslab.render.renderer import Renderer, RenderParameters
@@ -32,6 +35,7 @@ def render(
     solver: str | None = None,
     step_s: float = 1 / 60,
     state_format: str = "f32",
+    transport: TransportParameters | None = None,
     size: tuple[int, int] | None = None,
     supersampling: int | None = None,
     debug: Sequence[str] = (),
@@ -47,6 +51,7 @@ def render(
             varies continuously. These two take any stretch of constant light in one step.
         step_s: the step in s, wherever one step does not span a stretch.
         state_format: a name in `phoslab.render.state_formats.FORMATS`.
+        transport: whether, and how, glow reaches other surfaces; None: it does not.
         size: (width, height) in pixels; None: the scene's.
         supersampling: samples along the side of a pixel; None: the scene's.
         debug: names of passes whose results are to come with the frames.
@@ -57,14 +62,16 @@ def render(
         One frame a time, in the order asked for.
 
     Raises:
-        PhoslabError: the scene, a time, the solver or the format is wrong, the solver does not bear its step,
-            or there is no OpenGL.
+        PhoslabError: the scene, a time, the solver, the format or the way of glow transport is wrong, the solver
+            does not bear its step, or there is no OpenGL.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
     if solver is None:
         solver = DEFAULT if scene.schedule.piecewise_constant else DEFAULT_IN_VARYING_LIGHT
     find_solver(solver)
     find_format(state_format)
+    if transport is not None and transport.method != NONE:
+        find_method(transport.method)
     if not 0 < step_s < float("inf"):
         raise PhoslabError(f"is {step_s:g}", field="the step", remedy="Give a positive number of seconds.")
     labels = [t if isinstance(t, str) else f"{t:.12g}" for t in (scene.times if times is None else times)]
@@ -76,6 +83,7 @@ def render(
         size=size or scene.size,
         supersampling=supersampling or scene.supersampling,
         stepping=Stepping(solver, step_s, state_format),
+        transport=transport or TransportParameters(),
         debug=tuple(debug),
     )
     check_work(scene.schedule, max(moments), parameters.stepping)

@@ -8,6 +8,8 @@ phosphor_step     the state at the picture's time         per picture and change
 gbuffer           what the camera sees                    once
 direct_light      reflected lamp light                    per picture
 glow              light of the phosphors                  per picture, per phosphor
+atlas_glow        light that the phosphors send           per picture, per phosphor
+glow_transport    what surfaces reflect of that           per picture; by the way of `glow_methods` that was asked for
 resolve           samples to pixels                       per picture
 """
 
@@ -18,6 +20,7 @@ from dataclasses import dataclass, field
 
 from phoslab.errors import PhoslabError
 from phoslab.render.atlas_geometry import AtlasGeometry, AtlasGeometryParameters
+from phoslab.render.atlas_glow import AtlasGlow
 from phoslab.render.atlas_irradiance import AtlasIrradiance
 from phoslab.render.device import Device
 from phoslab.render.direct_light import DirectLight
@@ -25,6 +28,8 @@ from phoslab.render.excitation import Excitation
 from phoslab.render.frame import Frame
 from phoslab.render.gbuffer import GBuffer, GBufferParameters
 from phoslab.render.glow import Glow
+from phoslab.render.glow_methods import find_method
+from phoslab.render.glow_transport import NONE, GlowTransport, Surroundings, TransportParameters
 from phoslab.render.gpu_scene import upload
 from phoslab.render.passes import Pass, Picture, side_by_side
 from phoslab.render.phosphor_state import PhosphorState, Stepping
@@ -42,6 +47,7 @@ PASSES = (
     GBuffer,
     DirectLight,
     Glow,
+    AtlasGlow,
     Resolve,
 )
 
@@ -54,12 +60,14 @@ class RenderParameters:
         size: (width, height) of the picture in pixels.
         supersampling: samples along the side of a pixel.
         stepping: solver and step of the states.
+        transport: whether, and how, glow reaches other surfaces.
         debug: names of passes whose results come with every frame.
     """
 
     size: tuple[int, int]
     supersampling: int
     stepping: Stepping = field(default_factory=Stepping)
+    transport: TransportParameters = field(default_factory=TransportParameters)
     shadow_map: ShadowMapParameters = field(default_factory=ShadowMapParameters)
     atlas_geometry: AtlasGeometryParameters = field(default_factory=AtlasGeometryParameters)
     debug: Sequence[str] = ()
@@ -89,6 +97,7 @@ class Renderer:
         self.glow = Glow(device, n_bands)
         self.resolve = Resolve(device, n_bands, ResolveParameters(parameters.size, parameters.supersampling))
         self.states = self._make_states(device)
+        self.transport = self._make_transport(device)
         self._anchor_s = 0.0
         self.prepare()
 
@@ -112,6 +121,26 @@ class Renderer:
             )
         return states
 
+    def _make_transport(self, device: Device) -> GlowTransport | None:
+        p = self.parameters
+        needed = p.transport.method != NONE and bool(self.states)
+        lit = needed or AtlasGlow.name in p.debug
+        self.glows = [
+            AtlasGlow(device, s.drawable, s.atlas, self.scene.transport.n) for s in self.states if lit
+        ]
+        if not needed:
+            return None
+        surroundings = Surroundings(
+            self.scene,
+            self.drawables,
+            [state.atlas for state in self.states],
+            self.glows,
+            self.gbuffer,
+            p.size,
+            p.supersampling,
+        )
+        return find_method(p.transport.method)(device, surroundings, p.transport)
+
     def prepare(self) -> None:
         """Run the passes whose results hold while nothing moves."""
         self.shadow_map.run()
@@ -122,6 +151,8 @@ class Renderer:
         for state in self.states:
             state.strictest_per_s = max(other.largest_rate_per_s for other in self.states)
         self.gbuffer.run(self.scene.camera)
+        if self.transport is not None:
+            self.transport.prepare()
 
     def frame(self, t_s: float, label: str | None = None) -> Frame:
         """Render the scene at `t_s` seconds; forwards in time is cheaper than backwards.
@@ -134,6 +165,10 @@ class Renderer:
         self.direct_light.run(self.gbuffer, self.drawables, factors)
         for state in self.states:
             self.glow.run(self.gbuffer, state.drawable, state.shown.value, self.direct_light.radiance)
+        for glow, state in zip(self.glows, self.states, strict=False):
+            glow.run(state.shown.value)
+        if self.transport is not None:
+            self.transport.run(self.direct_light.radiance)
         self.resolve.run(self.direct_light.radiance)
         return Frame(
             time_s=t_s,
@@ -185,6 +220,7 @@ class Renderer:
             GBuffer.name: [self.gbuffer],
             DirectLight.name: [self.direct_light],
             Glow.name: [self.direct_light],
+            AtlasGlow.name: self.glows,
             Resolve.name: [self.resolve],
         }
         views: dict[str, Picture] = {}

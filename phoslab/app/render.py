@@ -26,11 +26,14 @@ SOLVERS = ("euler", "substep", "exact", "exact2", "rk23")
 FORMATS = ("f32", "f16", "unorm16", "f32c")
 PASSES = (
     *("shadow_map", "atlas_geometry", "atlas_irradiance", "excitation", "phosphor_step"),
-    *("gbuffer", "direct_light", "glow", "resolve"),
+    *("gbuffer", "direct_light", "glow", "atlas_glow", "resolve"),
 )
+METHODS = ("none", "reference")
 
 # Pixels along a side, as in a scene file.
 LARGEST_SIDE = 16384
+
+MOST_SAMPLES = 1 << 20
 
 T = TypeVar("T")
 
@@ -64,6 +67,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="what holds the state between light changes: f32 (default), f16, unorm16, f32c (compensated)",
     )
     parser.add_argument(
+        "--gi",
+        choices=METHODS,
+        default="none",
+        help="how glow lights other surfaces: none (default), or reference: once reflected, by Mitsuba's path tracer",
+    )
+    parser.add_argument(
+        "--samples",
+        metavar="N",
+        type=_count,
+        default=256,
+        help="light paths a pixel of reference (default 256)",
+    )
+    parser.add_argument(
+        "--full-transport",
+        action="store_true",
+        help="let reference follow light to its end instead of for one reflection",
+    )
+    parser.add_argument(
         "--size", metavar="WxH", type=_size, help="size of the picture in pixels (default: the scene's)"
     )
     parser.add_argument(
@@ -78,7 +99,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render, write, and say what was written."""
-    from phoslab.render import load_scene, render
+    from phoslab.render import TransportParameters, load_scene, render
 
     check_writable(args.out)
     scene = load_scene(args.scene)
@@ -89,6 +110,7 @@ def run(args: argparse.Namespace) -> int:
             solver=args.solver,
             step_s=args.step,
             state_format=args.state_format,
+            transport=TransportParameters(args.gi, samples=args.samples, full=args.full_transport),
             size=args.size,
             debug=args.debug,
             progress=progress,
@@ -128,6 +150,12 @@ def _seconds(text: str) -> float:
     if not 0 < seconds < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r} is no positive number of seconds")
     return seconds
+
+
+def _count(text: str) -> int:
+    if not re.fullmatch(r"\d{1,7}", text, re.ASCII) or not 1 <= int(text) <= MOST_SAMPLES:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 to {MOST_SAMPLES}")
+    return int(text)
 
 
 def _time(text: str) -> str:

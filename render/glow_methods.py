@@ -1,0 +1,31 @@
+"""The ways to transport glow, by name.
+
+none       surfaces glow and light nothing
+tiles      cells of the surfaces, chosen for each tile of the picture, and the nearest in each of some directions
+reference  paths, in Mitsuba 3
+"""
+
+from __future__ import annotations
+
+from phoslab.errors import PhoslabError
+from phoslab.render.glow_transport import NONE, GlowTransport
+from phoslab.render.reference import Reference
+
+METHODS: dict[str, type[GlowTransport]] = {
+    "reference": Reference,
+}
+
+NAMES = (NONE, *METHODS)
+
+
+def find_method(name: str) -> type[GlowTransport]:
+    """Return the way `name` to transport glow.
+
+    Raises:
+        PhoslabError: there is none of that name.
+    """
+    if name not in METHODS:
+        raise PhoslabError(
+            f"{name!r} is unknown", field="glow transport", remedy=f"Use one of: {', '.join(NAMES)}."
+        )
+    return METHODS[name]
