@@ -1,4 +1,4 @@
-"""What a phosphor gives off, texel by texel of its atlas: the light that glow transport sends (Nalbach 2017, eq. 8.3)."""
+"""What a phosphor gives off, texel by texel of its atlas: the light that it sends (Nalbach 2017, eq. 8.3)."""
 
 from __future__ import annotations
 

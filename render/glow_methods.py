@@ -10,9 +10,11 @@ from __future__ import annotations
 from phoslab.errors import PhoslabError
 from phoslab.render.glow_transport import NONE, GlowTransport
 from phoslab.render.reference import Reference
+from phoslab.render.tiles import Tiles
 
 METHODS: dict[str, type[GlowTransport]] = {
-    "reference": Reference,
+    Tiles.name: Tiles,
+    Reference.name: Reference,
 }
 
 NAMES = (NONE, *METHODS)

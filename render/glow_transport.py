@@ -1,7 +1,7 @@
 """Light that phosphorescent surfaces send and others reflect: what every way to compute it has in common.
 
-A way is one class in one file and one line in `glow_methods.METHODS`. It is given the scene as the other passes have it, and adds
-to the radiance of every sample what that sample reflects of the glow.
+A way is one class in one file and one line in `glow_methods.METHODS`. It is given the scene as the other passes have
+it, and adds to the radiance of every sample what that sample reflects of the glow.
 """
 
 from __future__ import annotations

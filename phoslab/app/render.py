@@ -28,7 +28,7 @@ PASSES = (
     *("shadow_map", "atlas_geometry", "atlas_irradiance", "excitation", "phosphor_step"),
     *("gbuffer", "direct_light", "glow", "atlas_glow", "resolve"),
 )
-METHODS = ("none", "reference")
+METHODS = ("none", "tiles", "reference")
 
 # Pixels along a side, as in a scene file.
 LARGEST_SIDE = 16384
