@@ -330,11 +330,11 @@ def _fit(mesh: _Mesh, of: Indices) -> tuple[Array, Array, Array, float, float]:
     away = points - centre
     flat = away @ np.stack([side, up], axis=1)
     angle = np.pi / 2 * np.arange(TURNS) / TURNS
-    turned = np.einsum("ni,iak->nak", flat, np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(0, 2, 1))  # fmt: skip
+    c, s = np.cos(angle), np.sin(angle)
+    turned = np.stack([flat @ np.array([c, s]), flat @ np.array([-s, c])], axis=2)
     low, high = turned.min(axis=0), turned.max(axis=0)
     best = int(np.argmin(np.prod(high - low, axis=1)))
-    c, s = np.cos(angle[best]), np.sin(angle[best])
-    x, y = c * side + s * up, -s * side + c * up
+    x, y = c[best] * side + s[best] * up, -s[best] * side + c[best] * up
     extent, mid = high[best] - low[best], (high[best] + low[best]) / 2
     box_area = max(float(extent.prod()), 1e-30)
     # The area that faces the normal: what the cell's outline must hold.

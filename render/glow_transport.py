@@ -23,8 +23,8 @@ from phoslab.render.scene import Scene
 
 NONE = "none"
 
-# The most directions of a pixel: what is kept of them must fit the memory.
-MOST_DIRECTIONS = 64
+# The most directions of a pixel: they are kept in registers, and llvmpipe 22.3 loses some of 64.
+MOST_DIRECTIONS = 32
 FILTER_RADII = (0, 2, 4, 8)
 
 
@@ -34,7 +34,7 @@ class TransportParameters:
 
     Args:
         method: a name in `glow_methods.METHODS`, or "none".
-        directions: in which a pixel looks for glow, 1 to 64 (tiles).
+        directions: in which a pixel looks for glow, 1 to 32 (tiles).
         filter_px: pixels to each side over which a pixel shares its neighbours' directions: 0, 2, 4 or 8 (tiles).
         cell: the radius of the smallest cell, as a share of the scene's (tiles).
         detail: the radius over the distance that no cell exceeds, unless it is one of the smallest (tiles).

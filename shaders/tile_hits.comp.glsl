@@ -18,6 +18,7 @@ layout(std430, binding = 5) writeonly buffer Hits { uint hits[]; }; // DIRECTION
 
 uniform ivec2 tiles;
 
+const float PARALLEL = 0.8;
 const float EDGE = 1e-5; // neighbouring cells overlap by this share, so that no ray slips between
 
 // An orthonormal basis around n (Duff et al. 2017).
@@ -54,7 +55,12 @@ void main() {
         uint cell = lists[m];
         Test test = tests[cell];
         float h = dot(test.N.xyz, o) + test.N.w;
-        if (abs(h) < test.more.x) continue;
+        if (abs(h) < test.more.x) {
+            // In the cell's plane, or in the surface that it stands for. Where that is another surface than the
+            // receiver's, which meets it in an edge, the receiver is in front.
+            if (abs(dot(test.N.xyz, n)) > PARALLEL) continue;
+            h = test.more.x;
+        }
         float u0 = dot(test.U.xyz, o) + test.U.w, v0 = dot(test.V.xyz, o) + test.V.w;
         uint seen = h > 0.0 ? cell + 1u : 0u; // a back blocks and is dark
         for (int k = 0; k < DIRECTIONS; ++k) {
