@@ -13,6 +13,8 @@ from os import PathLike
 
 from phoslab.errors import PhoslabError
 from phoslab.render.device import Device
+from phoslab.render.fade_basis import FadeBasis as FadeBasis
+from phoslab.render.fade_basis import faded_stretches, fading_rates
 from phoslab.render.frame import Frame as Frame
 from phoslab.render.frames import Frames as Frames
 from phoslab.render.glow_methods import find_method
@@ -109,14 +111,62 @@ def _render(
 ) -> Frames:
     renderer = Renderer(device, scene, parameters)
     frames: dict[int, Frame] = {}
+    # What only fades is rendered once for each rate, where light is followed to other surfaces: elsewhere a frame
+    # costs little more than the sum.
+    stretches: dict[int, list[int]] = {}
+    if (
+        renderer.transport is not None
+        and not parameters.debug
+        and find_solver(parameters.stepping.solver).closed_form
+    ):
+        stretches = {min(s, key=moments.__getitem__): s for s in faded_stretches(scene, list(moments))}
+    later = {k for first, stretch in stretches.items() for k in stretch if k != first}
     # In ascending order, since the state only runs forwards.
-    for k in sorted(range(len(moments)), key=moments.__getitem__):
-        frames[k] = renderer.frame(moments[k], labels[k])
-        if progress is not None:
-            progress(len(frames), len(moments))
+    for k in sorted(set(range(len(moments))) - later, key=moments.__getitem__):
+        if k in stretches:
+            basis = renderer.fade_basis(moments[k])
+        for j in stretches.get(k, [k]):
+            frames[j] = (
+                renderer.faded_frame(basis, moments[j], labels[j])
+                if k in stretches
+                else renderer.frame(moments[j], labels[j])
+            )
+            if progress is not None:
+                progress(len(frames), len(moments))
     return Frames(
         tuple(frames[k] for k in range(len(moments))),
         scene=os.fsencode("/".join(scene.file.resolve().parts[-2:])).decode("utf-8", "replace"),
         solver=parameters.stepping.solver,
         exposures=scene.exposures,
     )
+
+
+def render_fade_basis(
+    scene: Scene,
+    time: str | float,
+    *,
+    transport: TransportParameters | None = None,
+    size: tuple[int, int] | None = None,
+    state_format: str = "f32",
+) -> FadeBasis:
+    """Render what a scene in the dark fades from: one picture for each distinct rate (see `fade_basis.py`).
+
+    Args:
+        time: from when on; a light may have been on before, but none is from then.
+        transport, size, state_format: as for `render`.
+
+    Raises:
+        PhoslabError: a light is on at that time, a rate varies over a surface, or as `render`.
+    """
+    find_format(state_format)
+    t_s = scene.schedule.parse_time(time) if isinstance(time, str) else check_time(time, f"{time:g}")
+    fading_rates(scene, t_s)
+    solver = DEFAULT if scene.schedule.piecewise_constant else DEFAULT_IN_VARYING_LIGHT
+    parameters = RenderParameters(
+        size=size or scene.size,
+        supersampling=scene.supersampling,
+        stepping=Stepping(solver, state_format=state_format),
+        transport=transport or TransportParameters(),
+    )
+    with Device() as device:
+        return Renderer(device, scene, parameters).fade_basis(t_s)

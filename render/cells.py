@@ -2,7 +2,7 @@
 
 A triangle that is larger than the smallest cell is halved along its longest edge until it is not: its cells cover it
 without gap or overlap. Triangles that are smaller are brought together, by place and by direction, into the
-parallelogram that fits them best and has their area. So a flat wall is exact at every level, and a mesh of a million
+parallelogram that covers them with the least to spare. So a flat wall is exact at every level, and a mesh of a million
 triangles has no more cells than its area asks for.
 
 The tree is stored in the order of a walk: a cell is followed by those that it is made of, and knows where they end.
@@ -22,8 +22,8 @@ from phoslab.render.gpu_scene import GpuDrawable
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# A cell of small triangles stands for them only if so much of their area faces one way.
-COHERENT = 0.8
+# A cell of small triangles stands for them only if so much of their area faces one way, and fills so much of it.
+COHERENT, FILLED = 0.95, 0.5
 # What no distance makes good enough: such a cell is always replaced by those that it is made of.
 NEVER = 1e30
 # Nearer to a plane than this, in units of the scene's radius, a point lies in it: float32 of G-buffer and atlas.
@@ -82,11 +82,14 @@ class Cells:
         return rows
 
     def walk(self) -> NDArray[np.float32]:
-        """Return (n, 5, 4) what a walk through the tree asks: sphere, three corners, (error, is triangle, 0, 0)."""
+        """Return (n, 5, 4) what a walk through the tree asks: sphere, corners, (error, is triangle, sends, 0)."""
         rows = np.zeros((len(self.skip), 5, 4), dtype=np.float32)
         rows[:, 0] = self.spheres
         rows[:, 1:4, :3] = self.corners
         rows[:, 4, 0], rows[:, 4, 1] = self.errors, self.is_triangle
+        for patches in self.patches.values():
+            first = self.leaves[:, 0]
+            rows[(patches.leaf.min() <= first) & (first <= patches.leaf.max()), 4, 2] = 1.0
         return rows
 
     def averages(self, leaf_values: Array) -> Array:
@@ -275,8 +278,8 @@ def _add_cluster(forest: _Forest, mesh: _Mesh, of: Indices) -> None:
     if len(of) == 1:
         _add_part(forest, mesh, int(of[0]))
         return
-    corner, normal, sphere, error, coherence = _fit(mesh, of)
-    is_leaf = bool(sphere[3] <= forest.smallest and coherence >= COHERENT)
+    corner, normal, sphere, error = _fit(mesh, of)
+    is_leaf = bool(sphere[3] <= forest.smallest and error < NEVER)
     at, first_leaf = forest.n, forest.n_leaves
     forest.n += 1
     skip, leaves = np.array([0.0]), np.array([[first_leaf, 0.0]])
@@ -313,15 +316,15 @@ def _split(mesh: _Mesh, of: Indices, smallest: float, radius: float) -> tuple[In
     return of[order[:half]], of[order[half:]]
 
 
-def _fit(mesh: _Mesh, of: Indices) -> tuple[Array, Array, Array, float, float]:
-    """Return the parallelogram (3, 3) that stands for triangles, its normal, sphere, error and coherence."""
+def _fit(mesh: _Mesh, of: Indices) -> tuple[Array, Array, Array, float]:
+    """Return the parallelogram (3, 3) that stands for triangles, its normal, sphere and error."""
     areas, points = mesh.areas[of], mesh.points(of)
     facing = areas @ mesh.normals[of]
     coherence = float(np.linalg.norm(facing) / areas.sum())
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     sphere = np.array([*middle, np.sqrt(np.max(np.sum((points - middle) ** 2, axis=1)))])
     if coherence < COHERENT:
-        return np.repeat(middle[None], 3, axis=0), np.array([0.0, 0.0, 1.0]), sphere, NEVER, coherence
+        return np.repeat(middle[None], 3, axis=0), np.array([0.0, 0.0, 1.0]), sphere, NEVER
     normal = facing / np.linalg.norm(facing)
     centre = areas @ mesh.centres(of) / areas.sum()
     side = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
@@ -337,12 +340,14 @@ def _fit(mesh: _Mesh, of: Indices) -> tuple[Array, Array, Array, float, float]:
     x, y = c[best] * side + s[best] * up, -s[best] * side + c[best] * up
     extent, mid = high[best] - low[best], (high[best] + low[best]) / 2
     box_area = max(float(extent.prod()), 1e-30)
-    # The area that faces the normal: what the cell's outline must hold.
-    shrink = min(1.0, np.sqrt(coherence * areas.sum() / box_area))
-    u, v = x * extent[0] * shrink, y * extent[1] * shrink
+    # It covers them all. What is nearest in a direction counts once, so where cells overlap nothing is added; but
+    # through a gap one would look into the dark inside.
+    u, v = x * extent[0], y * extent[1]
     corner = centre + mid[0] * x + mid[1] * y - (u + v) / 2
-    error = float(np.abs(away @ normal).max()) + (1.0 - shrink) * float(extent.max()) / 2
-    return np.stack([corner, corner + u, corner + v]), normal, sphere, error, coherence
+    filled = min(1.0, coherence * float(areas.sum()) / box_area)
+    rim = (1.0 - np.sqrt(filled)) * float(extent.max()) / 2
+    error = float(np.abs(away @ normal).max()) + rim if filled >= FILLED else NEVER
+    return np.stack([corner, corner + u, corner + v]), normal, sphere, error
 
 
 def _add_part(forest: _Forest, mesh: _Mesh, part: int) -> None:

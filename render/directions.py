@@ -1,8 +1,8 @@
-"""Directions in which pixels look for light: crowded as the cosine, and even over every block of pixels.
+"""Directions in which pixels look for light: even over every block of pixels.
 
-Each place of a square pattern has a few directions of its own. All of a pattern's together are a (0, 2)-sequence, so
-that they are even; places are numbered so that those of any small block are far apart in it, so that each block's are
-nearly as even. A box as wide as the pattern sees each direction once, wherever it lies.
+Each place of a square pattern has a few points of its own, which become directions. All of a pattern's together are a
+(0, 2)-sequence, so that they are even; places are numbered so that those of any small block are far apart in it, so
+that each block's are nearly as even. A tent as wide as two patterns weighs each place alike, wherever it lies.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ def ordered_places(side: int) -> NDArray[np.intp]:
     return places
 
 
-def cosine_directions(side: int, per_place: int, seed: int = 0) -> Array:
-    """Return (side, side, per_place, 3) unit vectors about +z, whose density is the cosine over π.
+def patterned_points(side: int, per_place: int, seed: int = 0) -> Array:
+    """Return (side, side, per_place, 2) points of the unit square, even over the whole pattern and nearly over parts.
 
     Args:
         side: of the pattern in pixels: 2^n.
-        per_place: directions of one pixel.
+        per_place: points of one pixel.
         seed: of the scrambling of the sequence (Owen 1995).
     """
     from scipy.stats import qmc
@@ -34,12 +34,12 @@ def cosine_directions(side: int, per_place: int, seed: int = 0) -> Array:
     sequence = qmc.Sobol(2, scramble=True, rng=np.random.default_rng(seed))
     n = side * side * per_place
     points = sequence.random_base2(int(np.ceil(np.log2(n))) if n > 1 else 0)[:n]
-    directions = on_hemisphere(points).reshape(side * side, per_place, 3)
-    return directions[ordered_places(side)]
+    each: Array = points.reshape(side * side, per_place, 2)[ordered_places(side)]
+    return each
 
 
 def on_hemisphere(points: Array) -> Array:
-    """Return (n, 3) the directions of (n, 2) points of the unit square: their density is the cosine over π."""
-    z = np.sqrt(1.0 - points[:, 0])
-    radius, angle = np.sqrt(points[:, 0]), 2 * np.pi * points[:, 1]
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    """Return (..., 3) the directions about +z of (..., 2) points of the unit square: as the shader has them."""
+    u, v = np.moveaxis(points, -1, 0)
+    angle = 2 * np.pi * v
+    return np.stack([np.sqrt(u) * np.cos(angle), np.sqrt(u) * np.sin(angle), np.sqrt(1.0 - u)], axis=-1)

@@ -23,8 +23,8 @@ from phoslab.render.scene import Scene
 
 NONE = "none"
 
-# The most directions of a pixel: they are kept in registers, and llvmpipe 22.3 loses some of 64.
-MOST_DIRECTIONS = 32
+# Of a pixel: at 512² already half a gigabyte of what they meet.
+MOST_DIRECTIONS = 256
 FILTER_RADII = (0, 2, 4, 8)
 
 
@@ -34,7 +34,8 @@ class TransportParameters:
 
     Args:
         method: a name in `glow_methods.METHODS`, or "none".
-        directions: in which a pixel looks for glow, 1 to 32 (tiles).
+        directions: in which a pixel looks for glow, 1 to 256 (tiles).
+        guided: the share of the directions that aim at what may send light (tiles).
         filter_px: pixels to each side over which a pixel shares its neighbours' directions: 0, 2, 4 or 8 (tiles).
         cell: the radius of the smallest cell, as a share of the scene's (tiles).
         detail: the radius over the distance that no cell exceeds, unless it is one of the smallest (tiles).
@@ -43,7 +44,8 @@ class TransportParameters:
     """
 
     method: str = NONE
-    directions: int = 4
+    directions: int = 8
+    guided: float = 0.5
     filter_px: int = 4
     cell: float = 1 / 40
     detail: float = 0.3
@@ -52,6 +54,7 @@ class TransportParameters:
 
     def __post_init__(self) -> None:
         self._check("the number of directions", self.directions, 1, MOST_DIRECTIONS)
+        self._check("the share of guided directions", self.guided, 0.0, 1.0)
         self._check("the number of samples", self.samples, 1, 1 << 20)
         self._check("the cells' radius", self.cell, 1e-3, 1.0)
         self._check("the cells' detail", self.detail, 1e-2, 1.0)

@@ -18,6 +18,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
 from phoslab.errors import PhoslabError
 from phoslab.render.atlas_geometry import AtlasGeometry, AtlasGeometryParameters
 from phoslab.render.atlas_glow import AtlasGlow
@@ -25,6 +29,7 @@ from phoslab.render.atlas_irradiance import AtlasIrradiance
 from phoslab.render.device import Device
 from phoslab.render.direct_light import DirectLight
 from phoslab.render.excitation import Excitation
+from phoslab.render.fade_basis import FadeBasis, fading_rates
 from phoslab.render.frame import Frame
 from phoslab.render.gbuffer import GBuffer, GBufferParameters
 from phoslab.render.glow import Glow
@@ -86,7 +91,7 @@ class Renderer:
     """Renders one scene at any times; what does not change between them is kept."""
 
     def __init__(self, device: Device, scene: Scene, parameters: RenderParameters) -> None:
-        self.scene, self.parameters = scene, parameters
+        self._device, self.scene, self.parameters = device, scene, parameters
         n_bands = scene.transport.n
         w, h = parameters.size
         samples = (w * parameters.supersampling, h * parameters.supersampling)
@@ -162,22 +167,57 @@ class Renderer:
         """
         factors = self.scene.schedule.factors(t_s)
         self.bring_states_to(t_s)
+        self._draw(factors, [state.shown.value for state in self.states])
+        return self._make_frame(t_s, label, self.resolve.read(), self._debug_views(factors))
+
+    def _draw(self, factors: Mapping[str, float], states: Sequence[moderngl.Texture]) -> None:
+        """Draw what the lights and the phosphors in these states give, down to pixels."""
+        radiance = self.direct_light.radiance
         self.direct_light.run(self.gbuffer, self.drawables, factors)
-        for state in self.states:
-            self.glow.run(self.gbuffer, state.drawable, state.shown.value, self.direct_light.radiance)
-        for glow, state in zip(self.glows, self.states, strict=False):
-            glow.run(state.shown.value)
+        for phosphor, r in zip(self.states, states, strict=True):
+            self.glow.run(self.gbuffer, phosphor.drawable, r, radiance)
+        if self.glows:
+            for glow, r in zip(self.glows, states, strict=True):
+                glow.run(r)
         if self.transport is not None:
-            self.transport.run(self.direct_light.radiance)
-        self.resolve.run(self.direct_light.radiance)
+            self.transport.run(radiance)
+        self.resolve.run(radiance)
+
+    def _make_frame(
+        self,
+        t_s: float,
+        label: str | None,
+        radiance: NDArray[np.float32],
+        debug: Mapping[str, Picture] | None = None,
+    ) -> Frame:
         return Frame(
             time_s=t_s,
             label=f"{t_s:g}" if label is None else label,
             bands=self.scene.transport,
-            radiance=self.resolve.read(),
+            radiance=radiance,
             warnings=self._warnings(t_s),
-            debug=self._debug_views(factors),
+            debug=debug or {},
         )
+
+    def fade_basis(self, t_s: float) -> FadeBasis:
+        """Render what fades at each rate, from `t_s` on; see `fade_basis.py`.
+
+        Raises:
+            PhoslabError: a light is on at `t_s`, or a rate varies over a surface.
+        """
+        rates = fading_rates(self.scene, t_s)
+        self.bring_states_to(t_s)
+        pictures = []
+        for rate in rates:
+            with self._device.scope():
+                only = [state.only_at_rate(rate) for state in self.states]
+                self._draw({}, [texture.value for texture in only])
+            pictures.append(self.resolve.read())
+        return FadeBasis(t_s, rates, np.array(pictures), self.scene.transport)
+
+    def faded_frame(self, basis: FadeBasis, t_s: float, label: str | None = None) -> Frame:
+        """Return the frame at `t_s`, from a basis of this scene: the states stay where they are."""
+        return self._make_frame(t_s, label, basis.at(t_s))
 
     def bring_states_to(self, t_s: float) -> None:
         """Advance the phosphors, or go back to time 0 and advance, so that each shows its state at `t_s`."""
@@ -185,6 +225,8 @@ class Renderer:
             for state in self.states:
                 state.reset()
             self._anchor_s = 0.0
+        for state in self.states:
+            state.show_anchor()
         for segment in self.scene.schedule.segments(self._anchor_s, t_s):
             self._anchor_s = segment.end_s
             for state in self.states:

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from phoslab.render.cell_glow import CellGlow
 from phoslab.render.cells import build_cells
-from phoslab.render.device import Device, set_uniforms
-from phoslab.render.directions import cosine_directions
+from phoslab.render.device import Device, read_array, set_uniforms
+from phoslab.render.directions import patterned_points
 from phoslab.render.glow_transport import Surroundings, TransportParameters
 from phoslab.render.memory import check_room
 from phoslab.render.optics import layer_count
@@ -34,6 +34,8 @@ from phoslab.render.passes import Picture, false_grey
 
 TILE = 16  # pixels along a side; as in shaders/include/tiles.glsl
 GROUP_FLOATS = 12
+# Directions that a shader holds in registers: measured on llvmpipe, 32 at once take ten times as long as 4 times 8.
+BATCH = 8
 
 
 class Tiles:
@@ -55,17 +57,21 @@ class Tiles:
         w, h = surroundings.size
         self._n_bands = surroundings.scene.transport.n
         self._tiles = (-(-w // TILE), -(-h // TILE))
-        check_room(w * h * parameters.directions * 4, "what a picture's directions hit")
-        self._hits = device.buffer(np.zeros(w * h * parameters.directions, dtype=np.uint32))
+        check_room(w * h * parameters.directions * 8, "what a picture's directions hit")
+        self._hits = device.buffer(np.zeros((w * h * parameters.directions, 2), dtype=np.uint32))
+        self._nearness = device.buffer(np.zeros(w * h, dtype=np.float32))
         layers = layer_count(self._n_bands)
-        self._light, self._spare = (device.texture_array((w, h), layers, dtype="f2") for _ in range(2))
-        self._pattern = max(1, 2 * parameters.filter_px)
-        directions = np.zeros((self._pattern**2 * parameters.directions, 4), dtype=np.float32)
-        directions[:, :3] = cosine_directions(self._pattern, parameters.directions).reshape(-1, 3)
-        self._directions = device.buffer(directions)
+        self._light, self._spare = (device.texture_array((w, h), layers) for _ in range(2))
+        self._pattern = max(1, parameters.filter_px)
+        aimed = round(parameters.directions * parameters.guided)
+        aimless = parameters.directions - aimed
+        points = [patterned_points(self._pattern, n, seed) for seed, n in enumerate((aimless, aimed)) if n]
+        self._points = device.buffer(np.concatenate(points, axis=2).astype(np.float32))
         self._defines = {
             "SUPERSAMPLING": surroundings.supersampling,
             "DIRECTIONS": parameters.directions,
+            "AIMLESS": aimless,
+            "BATCH": min(BATCH, parameters.directions),
             "PATTERN": self._pattern,
             "LAYERS": layers,
             "RADIUS": parameters.filter_px,
@@ -83,8 +89,7 @@ class Tiles:
         with self._device.scope():
             groups = self._device.buffer(np.zeros((n_groups, GROUP_FLOATS), dtype=np.float32))
             self._bound_groups(groups)
-            ends, lists = self._choose_cells(groups, n_groups)
-            self._find_hits(groups, ends, lists)
+            self._find_hits(groups, *self._choose_cells(groups, n_groups))
 
     def _bind_receivers(self, shader: moderngl.ComputeShader) -> None:
         self._around.gbuffer.position_w.use(0)
@@ -99,20 +104,18 @@ class Tiles:
         set_uniforms(shader, tiles=self._tiles)
         self._device.dispatch(shader, (self._tiles[0] * self._tiles[1], 1), group=(64, 1))
 
-    def _choose_cells(
-        self, groups: moderngl.Buffer, n_groups: int
-    ) -> tuple[moderngl.Buffer, moderngl.Buffer]:
-        """Return where each group's list of cells begins, one more than there are groups, and the lists."""
+    def _choose_cells(self, groups: moderngl.Buffer, n_groups: int) -> tuple[moderngl.Buffer, ...]:
+        """Return the cells to walk, where each group's list begins and the last ends, the lists, and the guides."""
         device = self._device
         walk, skip = (
             device.buffer(self.cells.walk()),
             device.buffer(self.cells.skip.astype(np.uint32)),
         )
         ends = device.buffer(np.zeros(n_groups + 1, dtype=np.uint32))
-        lists = ends
+        lists = guides = ends
         for fill in (False, True):
             shader = device.compute("tile_cells", {"FILL": 1} if fill else {})
-            for k, buffer in enumerate((groups, walk, skip, ends, *([lists] if fill else []))):
+            for k, buffer in enumerate((groups, walk, skip, ends, *([lists, guides] if fill else []))):
                 buffer.bind_to_storage_buffer(k)
             set_uniforms(
                 shader,
@@ -125,20 +128,37 @@ class Tiles:
                 counts = np.frombuffer(ends.read(), dtype=np.uint32)[:-1].astype(np.int64)
                 self.list_lengths = counts
                 begins = np.concatenate([[0], np.cumsum(counts)])
-                check_room(int(begins[-1]) * 4, "the cells of the picture's tiles")
+                n = int(begins[-1])
+                check_room(n * 12, "the cells of the picture's tiles")
                 ends.write(begins.astype(np.uint32).tobytes())
-                lists = device.buffer(np.zeros(max(1, int(begins[-1])), dtype=np.uint32))
-        return ends, lists
+                lists = device.buffer(np.zeros(max(1, n), dtype=np.uint32))
+                guides = device.buffer(np.zeros((max(1, n), 2), dtype=np.float32))
+        return walk, ends, lists, guides
 
-    def _find_hits(self, groups: moderngl.Buffer, ends: moderngl.Buffer, lists: moderngl.Buffer) -> None:
-        shader = self._program("tile_hits", "SUPERSAMPLING", "DIRECTIONS", "PATTERN")
+    def _find_hits(
+        self,
+        groups: moderngl.Buffer,
+        walk: moderngl.Buffer,
+        ends: moderngl.Buffer,
+        lists: moderngl.Buffer,
+        guides: moderngl.Buffer,
+    ) -> None:
+        shader = self._program("tile_hits", "SUPERSAMPLING", "DIRECTIONS", "AIMLESS", "PATTERN", "BATCH")
         self._bind_receivers(shader)
         tests = self._device.buffer(self.cells.tests())
-        for k, buffer in enumerate((groups, tests, ends, lists, self._directions, self._hits)):
+        made = (self._points, self._hits, self._nearness)
+        for k, buffer in enumerate((groups, tests, ends, lists, *made, guides, walk)):
             buffer.bind_to_storage_buffer(k)
         set_uniforms(shader, tiles=self._tiles)
-        shader.run(*self._tiles, 2)
-        self._device.ctx.memory_barrier()
+        for first in range(0, self._parameters.directions, BATCH):
+            set_uniforms(shader, first=first)
+            shader.run(*self._tiles, 2)
+            self._device.ctx.memory_barrier()
+
+    def hits(self) -> NDArray[np.uint32]:
+        """Return (h, w, directions) 1 + the cell whose front each direction meets, or 0; row 0 is the lowest."""
+        w, h = self._around.size
+        return np.frombuffer(self._hits.read(), dtype=np.uint32).reshape(h, w, -1, 2)[..., 0]
 
     def run(self, radiance: moderngl.TextureArray) -> None:
         """Add what every sample reflects of the glow that its pixel's directions meet."""
@@ -155,8 +175,9 @@ class Tiles:
         self._reflect(radiance)
 
     def _filter(self) -> None:
-        shader = self._program("glow_filter", "SUPERSAMPLING", "LAYERS", "RADIUS")
+        shader = self._program("glow_filter", "SUPERSAMPLING", "AIMLESS", "LAYERS", "RADIUS")
         self._bind_receivers(shader)
+        self._nearness.bind_to_storage_buffer(0)
         for along in ((1, 0), (0, 1)):
             self._light.use(2)
             set_uniforms(shader, light_in=2, along=along)
@@ -181,17 +202,11 @@ class Tiles:
     def debug_views(self) -> dict[str, Picture]:
         """The light that falls on each pixel, how many of its directions meet a cell's front, and the first cell."""
         w, h = self._around.size
-        hits = np.frombuffer(self._hits.read(), dtype=np.uint32).reshape(h, w, -1)[::-1]
+        hits = self.hits()[::-1]
         colours = np.random.default_rng(0).uniform(0.2, 1.0, (len(self.cells.skip) + 1, 3))
         colours[0] = 0.0
         return {
-            "light": false_grey(_half_array(self._light, self._n_bands).sum(axis=-1)[::-1]),
+            "light": false_grey(read_array(self._light, self._n_bands).sum(axis=-1)[::-1]),
             "met": np.repeat((hits > 0).mean(axis=-1)[..., None], 3, axis=-1),
             "cells": colours[hits[..., 0]],
         }
-
-
-def _half_array(texture: moderngl.TextureArray, channels: int) -> NDArray[np.float32]:
-    w, h, layers = texture.size
-    values = np.frombuffer(texture.read(), dtype="f2").reshape(layers, h, w, 4).astype(np.float32)
-    return values.transpose(1, 2, 0, 3).reshape(h, w, -1)[..., :channels]

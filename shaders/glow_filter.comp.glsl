@@ -1,13 +1,17 @@
 #version 430
-// Shares light among the pixels of a surface, along one axis: a box of 2 RADIUS pixels whose ends count half, so that
-// every place of the pattern of directions counts alike. Cross-bilateral: by position and normal.
+// Shares light among the pixels of a surface, along one axis: a tent of RADIUS pixels to each side, under which every
+// place of the pattern of directions counts alike. Cross-bilateral, by position and normal; and no farther than the
+// surroundings are far, since there light changes over as short a way (Ward, Rubinstein and Clear 1988).
 layout(local_size_x = 8, local_size_y = 8) in;
 #include "receivers.glsl"
 #include "alike.glsl"
 
+const float NEAR = 0.3; // of the harmonic mean distance to what is around: the reach of the filter, at half its weight
+
 uniform sampler2DArray light_in;
 uniform ivec2 along;
-layout(rgba16f, binding = 0) writeonly uniform image2DArray light;
+layout(std430, binding = 0) readonly buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless directions
+layout(rgba32f, binding = 0) writeonly uniform image2DArray light;
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy), size = imageSize(light).xy;
@@ -17,10 +21,12 @@ void main() {
     vec4 sum[LAYERS];
     float total = 0.0;
     for (int l = 0; l < LAYERS; ++l) sum[l] = vec4(0.0);
-    for (int k = -RADIUS; there && k <= RADIUS; ++k) {
+    float limit = NEAR * float(max(AIMLESS, 1)) / nearness[pixel.y * size.x + pixel.x];
+    for (int k = 1 - RADIUS; there && k < RADIUS; ++k) {
         ivec2 at = pixel + k * along;
         if (any(lessThan(at, ivec2(0))) || any(greaterThanEqual(at, size)) || !find_receiver(at, q, m)) continue;
-        float w = (abs(k) == RADIUS ? 0.5 : 1.0) * (k == 0 ? 1.0 : alike(p, n, q, m));
+        float w = float(RADIUS - abs(k));
+        if (k != 0) w *= alike(p, n, q, m) * clamp(1.5 - distance(p, q) / limit, 0.0, 1.0);
         if (w <= 0.0) continue;
         total += w;
         for (int l = 0; l < LAYERS; ++l) sum[l] += w * texelFetch(light_in, ivec3(at, l), 0);

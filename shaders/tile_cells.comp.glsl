@@ -8,7 +8,7 @@ layout(local_size_x = 16) in;
 struct Cell {
     vec4 sphere;
     vec4 a, b, c;
-    vec4 more; // error, is triangle
+    vec4 more; // error, is triangle, sends light
 };
 
 layout(std430, binding = 0) readonly buffer Groups { Group groups[]; };
@@ -17,6 +17,8 @@ layout(std430, binding = 2) readonly buffer Skip { uint skip[]; };
 layout(std430, binding = 3) buffer Ends { uint ends[]; }; // counts, or where each group's list begins
 #ifdef FILL
 layout(std430, binding = 4) writeonly buffer Lists { uint lists[]; };
+// How much light a cell may send to the group, per area of the cell, and summed over the list.
+layout(std430, binding = 5) writeonly buffer Guides { vec2 guides[]; };
 #endif
 uniform int group_count;
 uniform int cell_count;
@@ -43,6 +45,20 @@ bool is_hidden(Group group, Cell cell) {
     return angle - asin(reach / away) - acos(clamp(group.normal.w, -1.0, 1.0)) > 1.5708;
 }
 
+#ifdef FILL
+// Radiance apart: area times both cosines over the square of the distance, each as large as group and cell allow.
+float promise(Group group, Cell cell, out float area) {
+    vec3 across = cross(cell.b.xyz - cell.a.xyz, cell.c.xyz - cell.a.xyz);
+    area = length(across) * (cell.more.y > 0.0 ? 0.5 : 1.0);
+    vec3 to = cell.sphere.xyz - group.sphere.xyz;
+    float reach = cell.sphere.w + group.sphere.w, away = max(length(to), 1e-6), spread = reach / away;
+    float sent = clamp(dot(normalize(across), -to / away) + spread, 0.0, 1.0);
+    float cone = sqrt(max(1.0 - group.normal.w * group.normal.w, 0.0));
+    float caught = group.normal.w <= 0.0 ? 1.0 : clamp(dot(group.normal.xyz, to / away) + spread + cone, 0.0, 1.0);
+    return area * sent * caught / max(away * away, reach * reach);
+}
+#endif
+
 void main() {
     int at = int(gl_GlobalInvocationID.x);
     if (at >= group_count) return;
@@ -50,6 +66,7 @@ void main() {
     uint count = 0u;
 #ifdef FILL
     uint begin = ends[at];
+    float sum = 0.0;
 #endif
     for (uint k = 0u; group.count > 0.0 && k < uint(cell_count);) {
         Cell cell = cells[k];
@@ -65,6 +82,9 @@ void main() {
         }
 #ifdef FILL
         lists[begin + count] = k;
+        float area = 1.0, hope = cell.more.z > 0.0 ? promise(group, cell, area) : 0.0;
+        sum += hope;
+        guides[begin + count] = vec2(hope / area, sum);
 #endif
         ++count;
         k = skip[k];

@@ -18,18 +18,27 @@ def tiles(path, size, *, times=("0",), supersampling=1, **parameters):
 
 @pytest.mark.parametrize("supersampling", [1, 2])
 def test_closed_box_of_albedo_and_emission_one_half_reads_three_quarters(build, rooms, supersampling):
-    """Every direction meets a wall that gives off 0.5: only half floats, 5e-4, are left to differ.
+    """Every direction meets a wall that gives off 0.5: without aim, only float32 is left to differ.
 
     Pixels on the diagonals see the very edges of the room, where a point lies in two walls at once.
     """
-    L = tiles(rooms.closed_box(build).write(), (48, 48), supersampling=supersampling)
-    np.testing.assert_allclose(L, 0.75, rtol=1e-3)
+    L = tiles(rooms.closed_box(build).write(), (48, 48), supersampling=supersampling, guided=0.0)
+    np.testing.assert_allclose(L, 0.75, rtol=1e-5)
 
 
-def test_facing_disks_exchange_their_form_factor(build, rooms):
+@pytest.mark.parametrize("guided", [0.25, 0.5, 0.75])
+def test_directions_that_aim_change_no_mean(build, rooms, guided):
+    """The balance heuristic is unbiased: 48² pixels x 8 weights below 4, whose deviation is thus below 2, leave 0.015
+    of the 0.25 that is reflected; four of these would be 2 % of the whole, which the issue asks for."""
+    L = tiles(rooms.closed_box(build).write(), (48, 48), guided=guided)
+    assert L.mean() == pytest.approx(0.75, rel=0.02)
+
+
+@pytest.mark.parametrize("guided", [0.0, 0.5])
+def test_facing_disks_exchange_their_form_factor(build, rooms, guided):
     """The mean over the receiver is L F in each band, as the issue asks to 1 %: 804 pixels x 16 directions at random
     would leave sqrt((1 - F) / F / 804 / 16) = 1.3 %; even ones leave a tenth of it."""
-    L = tiles(rooms.facing_disks(build).write(), (32, 32), directions=16)
+    L = tiles(rooms.facing_disks(build).write(), (32, 32), directions=16, guided=guided)
     seen = L[L.max(axis=-1) > 0].mean(axis=0)
     np.testing.assert_allclose(seen, rooms.form_factor() * np.array([1.0, 2.0, 4.0]), rtol=0.005)
 
@@ -46,8 +55,8 @@ def test_every_ray_meets_what_a_search_of_all_smallest_cells_finds(device):
     back or nothing is the same, whatever the tile was given. (A ray within rounding of an edge may fall either way.)"""
     met = []
     for detail in (0.5, 0.02):
-        _, tiled = hits_of(device, SCENES / "cornell", (64, 64), detail=detail)
-        met.append(np.frombuffer(tiled._hits.read(), dtype=np.uint32) > 0)
+        _, tiled = hits_of(device, SCENES / "cornell", (64, 64), detail=detail, guided=0.0)
+        met.append(tiled.hits() > 0)
         lengths = tiled.list_lengths
     assert lengths.max() > 5000  # the second has next to all of the 12288 smallest
     assert (met[0] != met[1]).mean() < 1e-4
@@ -56,13 +65,14 @@ def test_every_ray_meets_what_a_search_of_all_smallest_cells_finds(device):
 def test_rays_agree_with_a_brute_force_search(device, build, rooms):
     """Each of 16 directions of each pixel, against the disk's equation."""
     from phoslab.render.device import read_texture
-    from phoslab.render.directions import cosine_directions
+    from phoslab.render.directions import on_hemisphere, patterned_points
 
-    n, side = 16, 8
-    renderer, tiled = hits_of(device, rooms.facing_disks(build).write(), (32, 32), directions=n)
-    met = np.frombuffer(tiled._hits.read(), dtype=np.uint32).reshape(32, 32, n) > 0
+    n, side = 16, 4
+    path = rooms.facing_disks(build).write()
+    renderer, tiled = hits_of(device, path, (32, 32), directions=n, filter_px=side, guided=0.0)
+    met = tiled.hits() > 0
     y, x = np.mgrid[:32, :32]
-    w = cosine_directions(side, n)[y % side, x % side]
+    w = on_hemisphere(patterned_points(side, n))[y % side, x % side]
     position = read_texture(renderer.gbuffer.position_w)
     seen = position[..., 3] > 0
     at = position[..., None, :2] + w[..., :2] * (rooms.APART / w[..., 2:])
@@ -73,14 +83,14 @@ def test_rays_agree_with_a_brute_force_search(device, build, rooms):
 
 def test_directions_are_even_over_any_block_as_wide_as_the_pattern():
     """Moments of the cosine over π: mean z 2/3, mean z² 1/2, mean x 0; and every direction once in any 8 x 8 block."""
-    from phoslab.render.directions import cosine_directions, ordered_places
+    from phoslab.render.directions import on_hemisphere, ordered_places, patterned_points
 
     places = ordered_places(8)
     assert sorted(places.ravel()) == list(range(64))
     for corner in ((0, 0), (3, 5)):
         block = np.roll(places, corner, (0, 1))[:8, :8]
         assert len(np.unique(block)) == 64
-    w = cosine_directions(8, 4).reshape(-1, 3)
+    w = on_hemisphere(patterned_points(8, 4)).reshape(-1, 3)
     np.testing.assert_allclose(np.sum(w**2, axis=1), 1.0)
     np.testing.assert_allclose(w.mean(axis=0), [0, 0, 2 / 3], atol=2 / 256)
     assert np.mean(w[:, 2] ** 2) == pytest.approx(0.5, abs=2 / 256)
@@ -117,10 +127,10 @@ def crate_inside(size):
 
 
 def test_what_has_faded_by_six_decades_is_lit_as_well():
-    """The picture is the earlier one times a factor: half floats hold shares of the frame's glow, 5e-4, not its light."""
+    """The picture is the earlier one times a factor, to the rounding of float32: some 20 operations and a sum of 16."""
     frames = tiles(SCENES / "occluder", (64, 64), times=("0", "95"))
     bright, dim = (frame.radiance.astype(np.float64).sum(axis=-1) for frame in frames.frames)
     lit = bright > 0
     factor = dim.max() / bright.max()
     assert factor < 1e-6
-    np.testing.assert_allclose(dim[lit] / bright[lit], factor, rtol=2e-3)
+    np.testing.assert_allclose(dim[lit] / bright[lit], factor, rtol=64 * 2.0**-24)
