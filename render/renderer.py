@@ -56,6 +56,10 @@ PASSES = (
     Resolve,
 )
 
+# What can be looked at: every pass, and whichever way glow is transported.
+TRANSPORT = "glow_transport"
+DEBUG_NAMES = (*(p.name for p in PASSES), TRANSPORT)
+
 
 @dataclass(frozen=True)
 class RenderParameters:
@@ -79,11 +83,11 @@ class RenderParameters:
 
     def __post_init__(self) -> None:
         for name in self.debug:
-            if name not in {p.name for p in PASSES}:
+            if name not in DEBUG_NAMES:
                 raise PhoslabError(
                     f"{name!r} is unknown",
                     field="the pass",
-                    remedy=f"Use any of: {', '.join(p.name for p in PASSES)}.",
+                    remedy=f"Use any of: {', '.join(DEBUG_NAMES)}.",
                 )
 
 
@@ -253,7 +257,7 @@ class Renderer:
         if AtlasIrradiance.name in self.parameters.debug:
             for state in self.states:
                 state.light.run(state.atlas, factors)
-        sources: dict[str, Sequence[Pass | PhosphorState]] = {
+        sources: dict[str, Sequence[Pass | PhosphorState | GlowTransport]] = {
             ShadowMap.name: [self.shadow_map],
             AtlasGeometry.name: [s.atlas for s in self.states],
             AtlasIrradiance.name: [s.light for s in self.states],
@@ -263,6 +267,7 @@ class Renderer:
             DirectLight.name: [self.direct_light],
             Glow.name: [self.direct_light],
             AtlasGlow.name: self.glows,
+            TRANSPORT: [] if self.transport is None else [self.transport],
             Resolve.name: [self.resolve],
         }
         views: dict[str, Picture] = {}

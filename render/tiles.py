@@ -186,11 +186,23 @@ class Tiles:
             self._light, self._spare = self._spare, self._light
 
     def _reflect(self, radiance: moderngl.TextureArray) -> None:
-        shader, gbuffer = self._program("glow_reflect", "SUPERSAMPLING", "LAYERS"), self._around.gbuffer
+        shader, gbuffer = (
+            self._program("glow_reflect", "SUPERSAMPLING", "AIMLESS", "LAYERS"),
+            self._around.gbuffer,
+        )
         gbuffer.normal_w.use(1)
         gbuffer.uv.use(2)
         self._light.use(4)
-        set_uniforms(shader, normal_w=1, uv=2, reflectance=3, light=4, glow=self.cell_glow.glow)
+        self._nearness.bind_to_storage_buffer(0)
+        set_uniforms(
+            shader,
+            normal_w=1,
+            uv=2,
+            reflectance=3,
+            light=4,
+            glow=self.cell_glow.glow,
+            radius=self.cells.radius,
+        )
         radiance.bind_to_image(0, read=True, write=True)
         for drawable, rectangle in zip(self._around.drawables, gbuffer.rectangles, strict=True):
             if 0 in rectangle[2:]:
@@ -201,7 +213,6 @@ class Tiles:
 
     def debug_views(self) -> dict[str, Picture]:
         """The light that falls on each pixel, how many of its directions meet a cell's front, and the first cell."""
-        w, h = self._around.size
         hits = self.hits()[::-1]
         colours = np.random.default_rng(0).uniform(0.2, 1.0, (len(self.cells.skip) + 1, 3))
         colours[0] = 0.0

@@ -1,12 +1,11 @@
 #version 430
 // Shares light among the pixels of a surface, along one axis: a tent of RADIUS pixels to each side, under which every
-// place of the pattern of directions counts alike. Cross-bilateral, by position and normal; and no farther than the
-// surroundings are far, since there light changes over as short a way (Ward, Rubinstein and Clear 1988).
+// place of the pattern of directions counts alike. Cross-bilateral, by position and normal, and not far where
+// the surroundings are near.
 layout(local_size_x = 8, local_size_y = 8) in;
 #include "receivers.glsl"
 #include "alike.glsl"
 
-const float NEAR = 0.3; // of the harmonic mean distance to what is around: the reach of the filter, at half its weight
 
 uniform sampler2DArray light_in;
 uniform ivec2 along;
@@ -21,12 +20,12 @@ void main() {
     vec4 sum[LAYERS];
     float total = 0.0;
     for (int l = 0; l < LAYERS; ++l) sum[l] = vec4(0.0);
-    float limit = NEAR * float(max(AIMLESS, 1)) / nearness[pixel.y * size.x + pixel.x];
+    float surroundings = float(max(AIMLESS, 1)) / nearness[pixel.y * size.x + pixel.x];
     for (int k = 1 - RADIUS; there && k < RADIUS; ++k) {
         ivec2 at = pixel + k * along;
         if (any(lessThan(at, ivec2(0))) || any(greaterThanEqual(at, size)) || !find_receiver(at, q, m)) continue;
         float w = float(RADIUS - abs(k));
-        if (k != 0) w *= alike(p, n, q, m) * clamp(1.5 - distance(p, q) / limit, 0.0, 1.0);
+        if (k != 0) w *= alike(p, n, q, m) * near_enough(p, q, surroundings);
         if (w <= 0.0) continue;
         total += w;
         for (int l = 0; l < LAYERS; ++l) sum[l] += w * texelFetch(light_in, ivec3(at, l), 0);

@@ -9,6 +9,8 @@ uniform sampler2D uv;
 uniform sampler2DArray reflectance; // LAYERS layers over the texture space
 uniform sampler2DArray light;       // E / π a pixel, in units of the frame's glow
 uniform float glow;
+uniform float radius; // of the scene, in m: one unit of the surroundings' distance
+layout(std430, binding = 0) readonly buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless
 layout(rgba32f, binding = 0) uniform image2DArray radiance;
 
 void main() {
@@ -23,6 +25,7 @@ void main() {
     // The light of the pixels around that see the same surface; the pixel's own where none does.
     vec3 n = normalize(texelFetch(normal_w, at, 0).xyz);
     ivec2 size = textureSize(light, 0).xy;
+    float surroundings = radius * float(max(AIMLESS, 1)) / nearness[pixel.y * size.x + pixel.x];
     vec4 sum[LAYERS];
     float total = 0.0;
     for (int l = 0; l < LAYERS; ++l) sum[l] = vec4(0.0);
@@ -35,6 +38,8 @@ void main() {
         // Bilinear in the distance to the pixel's middle, within a pixel.
         vec2 off = max(1.0 - abs(vec2(at - middle)) / float(SUPERSAMPLING), 0.0);
         float w = (off.x * off.y + 1e-3) * alike(p_w, n, q.xyz, normalize(texelFetch(normal_w, middle, 0).xyz));
+        // Where all are too far, they still weigh by how near they are.
+        w *= near_enough(p_w, q.xyz, surroundings) + 1e-3;
         total += w;
         for (int l = 0; l < LAYERS; ++l) sum[l] += w * texelFetch(light, ivec3(near, l), 0);
     }

@@ -32,7 +32,7 @@ SOLVERS = ("euler", "substep", "exact", "exact2", "rk23")
 FORMATS = ("f32", "f16", "unorm16", "f32c")
 PASSES = (
     *("shadow_map", "atlas_geometry", "atlas_irradiance", "excitation", "phosphor_step"),
-    *("gbuffer", "direct_light", "glow", "atlas_glow", "resolve"),
+    *("gbuffer", "direct_light", "glow", "atlas_glow", "resolve", "glow_transport"),
 )
 METHODS = ("none", "tiles", "reference")
 
