@@ -7,7 +7,7 @@ reference  paths, in Mitsuba 3
 
 from __future__ import annotations
 
-from phoslab.errors import PhoslabError
+from phoslab.errors import look_up
 from phoslab.render.glow_transport import NONE, GlowTransport
 from phoslab.render.reference import Reference
 from phoslab.render.tiles import Tiles
@@ -26,8 +26,4 @@ def find_method(name: str) -> type[GlowTransport]:
     Raises:
         PhoslabError: there is none of that name.
     """
-    if name not in METHODS:
-        raise PhoslabError(
-            f"{name!r} is unknown", field="glow transport", remedy=f"Use one of: {', '.join(NAMES)}."
-        )
-    return METHODS[name]
+    return look_up(METHODS, name, "glow transport")

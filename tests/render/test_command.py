@@ -103,8 +103,8 @@ def test_bad_usage_exits_with_2_before_the_scene_is_looked_at(tmp_path, capsys, 
     [
         (["--at", "off-20s"], "'off-20s' is before the scene begins"),
         (["--at", "9", "--solver", "euler", "--step", "1000"], "overshoots"),
-        (["--gi", "tiles", "--directions", "1000"], "the number of directions: is 1000"),
-        (["--gi", "tiles", "--cell", "nan"], "the cells' radius: is nan"),
+        (["--gi", "tiles", "--directions", "1000"], "the number of directions is 1000"),
+        (["--gi", "tiles", "--cell", "nan"], "the cells' radius is nan"),
     ],
 )
 def test_an_error_is_one_sentence_and_exit_code_1(scene, tmp_path, capsys, arguments, says):

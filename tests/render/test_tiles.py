@@ -138,7 +138,7 @@ def test_what_has_faded_by_six_decades_is_lit_as_well():
 
 @pytest.mark.parametrize("name", ["cornell", "corridor"])
 def test_tiles_agree_with_the_path_tracer(name, tmp_path):
-    """Relative squared error, against the matched reference: at most 1e-2, the bound where emission varies over a surface.
+    """Relative squared error, against the matched reference: at most 1e-2, as emission varies over the walls.
 
     Two independent references multiply their differences, so that their own noise has mean 0. The filter is as narrow
     as the picture is small. Pixels at edges are left out: the path tracer samples them at random, the renderer on a
