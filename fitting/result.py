@@ -76,7 +76,7 @@ class FitResult:
             )
         for i in range(fit.n_states):
             lines.append(
-                f"  A[{i}] [signal]         {_with_error(fit.amplitude[i], fit.amplitude_standard_error[i])}"
+                f"  A[{i}] [signal]         {_with_error(fit.strength[i], fit.strength_standard_error[i])}"
             )
         lines.append(
             "  colour                  "
@@ -181,7 +181,7 @@ def fit_session(
     )
     if material.reference_irradiance is not None and not np.isnan(material.ke_m2_per_J).any():
         charged = equilibrium(material, material.reference_irradiance)
-        start = float((charged * fit.amplitude).sum() / fit.amplitude.sum())
+        start = float((charged * fit.strength).sum() / fit.strength.sum())
         warnings.append(
             f"Under the lamp of {preset!r} the states would charge to r = "
             f"{', '.join(f'{r:.2f}' for r in charged)} and not to 1: rendered after that lamp, the glow starts at "
