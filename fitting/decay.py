@@ -47,7 +47,7 @@ class DecayData:
         repeatability: relative standard deviation of a whole frame (shutter, gain), shared by its channels.
         channels: names of the channels.
         law: how `sigma` depends on the signal, where that is known: the fit then takes it from its own model.
-        expected: (n, n_channels) the signal that `repeatability` refers to; by default the measured one.
+        expected: (n, n_channels) the signal that `repeatability` refers to; by default that of the fit.
     """
 
     t_s: Array
@@ -244,9 +244,7 @@ class Problem:
     @property
     def n_parameters(self) -> int:
         """Number of free parameters."""
-        n_channels = self.data.signal.shape[1]
-        own = self.n_states + n_channels - 1 if self.rank_one else self.n_states * n_channels
-        return self.n_states + own + n_channels * int(self.offset)
+        return n_parameters(self.data, self.n_states, offset=self.offset, rank_one=self.rank_one)
 
     @property
     def signed(self) -> NDArray[np.bool_]:
@@ -310,6 +308,13 @@ class Problem:
         return x[:, :n_states].T, (x[:, n_states] if self.offset else np.zeros(n_channels))
 
 
+def n_parameters(data: DecayData, n_states: int, *, offset: bool, rank_one: bool) -> int:
+    """Return how many parameters a fit to `data` has."""
+    n_channels = data.signal.shape[1]
+    own = n_states + n_channels - 1 if rank_one else n_states * n_channels
+    return n_states + own + n_channels * int(offset)
+
+
 def problem(data: DecayData, n_states: int, *, offset: bool = False, rank_one: bool = True) -> Problem:
     """State a fit of `n_states` exponentials.
 
@@ -360,7 +365,7 @@ def fit_decay(
     colours = _first_colour(data)[stated.other_channels] if rank_one else np.zeros(0)
     found = [stated.solve(np.concatenate([log_kr, colours]), polish=False) for log_kr in starts]
     best = min(found, key=lambda s: s.chi2)
-    if data.law is not None or data.repeatability:
+    if data.law is not None or (data.repeatability and data.expected is None):
         stated, best = _iterate_weights(stated, best)
     if polish:
         best = min((stated.solve(best.theta), best), key=lambda s: s.chi2 * (1 + 1e-12 * (s is best)))
@@ -415,21 +420,6 @@ def misfit(chi2: float, dof: int) -> float:
     from scipy.special import chdtrc
 
     return chi2 / dof if dof > 0 and chdtrc(dof, chi2) < 1e-3 else 1.0
-
-
-def fit_candidates(data: DecayData, most_states: int = MOST_STATES) -> list[DecayFit]:
-    """Fit 1, 2, ... `most_states` exponentials of one colour, as many as the data have values for."""
-    fits: list[DecayFit] = []
-    for n_states in range(1, most_states + 1):
-        if n_states > 1 and data.n_values <= 2 * n_states + data.signal.shape[1] - 1:
-            break
-        fits.append(fit_decay(data, n_states))
-    return fits
-
-
-def choose(fits: Sequence[DecayFit]) -> DecayFit:
-    """Return the fit of smallest AICc among those whose states are all alive and distinct."""
-    return min((f for f in fits if f.n_states == 1 or not f.degenerate), key=lambda f: f.aicc)
 
 
 def exposed_decay(kr: Array, t_s: Array, exposure_s: Array) -> tuple[Array, Array]:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting.decay import DecayData, choose, fit_candidates, fit_decay
+from phoslab.fitting.decay import DecayData, fit_decay
 from phoslab.fitting.holdout import hold_out
+from phoslab.fitting.selection import select
 
 T = np.arange(37) * 5.0
 COLOUR = np.array([1.0, 0.6, 0.25])
@@ -104,7 +105,7 @@ def test_a_channel_without_light_is_no_obstacle():
 
 def test_more_states_than_there_are_are_seen_to_be_degenerate_or_dearer():
     data = decay([0.03], [1.0])
-    assert choose(fit_candidates(data)).n_states == 1
+    assert select(data, rank_one=True).chosen.n_states == 1
 
 
 def test_too_few_values_are_refused():
