@@ -81,7 +81,7 @@ def screen(table: DecayTable) -> Screened:
                 f"{signal[0, c]:.6g}: the meter was at its limit; they are left out."
             )
             sigma[:clipped, c] = np.inf
-        reason = _no_decay(t, signal[:, c], sigma[:, c], bool(given[c]))
+        reason = _no_decay(t, signal[:, c], sigma[:, c])
         if reason:
             lost[name] = reason
             flags.append(f"channel-lost: {name} {reason}.")
@@ -114,7 +114,7 @@ def _plateau(values: Array, used: NDArray[np.bool_]) -> int:
     return run if run > 1 else 0
 
 
-def _no_decay(t: Array, values: Array, sigma: Array, sigma_given: bool) -> str | None:
+def _no_decay(t: Array, values: Array, sigma: Array) -> str | None:
     """Return why a column is no decay, or None."""
     used = np.isfinite(sigma)
     v, at = values[used], t[used]
@@ -131,13 +131,10 @@ def _no_decay(t: Array, values: Array, sigma: Array, sigma_given: bool) -> str |
     if (v == v[0]).all():
         return "does not change: no rate can be determined"
     if v.size >= 4:
-        third = max(2, v.size // 3)
-        first, last = v[:third], v[-third:]
-        scatter = np.sqrt(first.var(ddof=1) / third + last.var(ddof=1) / third)
-        if sigma_given:
-            scatter = min(scatter, float(np.sqrt(np.mean(sigma[used] ** 2) * 2 / third)))
-        # Of something that falls, the last third lies above the first by more than 4 of these once in 30,000 times.
-        if last.mean() - first.mean() > 4 * scatter:
+        # Mann and Kendall's test for a trend: of something that falls, so many pairs rise once in 30,000 times.
+        pairs = np.sign(np.subtract.outer(v, v)) * np.sign(np.subtract.outer(at, at))
+        n = v.size
+        if pairs.sum() / 2 > 4 * np.sqrt(n * (n - 1) * (2 * n + 5) / 18) or pairs.sum() == n * (n - 1):
             return "rises: that is no decay, and no rate can be determined"
     elif v[-1] > v[0]:
         return "rises: that is no decay, and no rate can be determined"

@@ -22,6 +22,7 @@ SIGNIFICANCE = 0.005
 _FOLDS = 5
 # Enough states to follow any decay, few enough to leave scatter.
 _PILOT_STATES = 3
+_LEAST_SCATTER = 0.1
 
 
 @dataclass(frozen=True)
@@ -151,9 +152,9 @@ def chance(smaller: DecayFit, larger: DecayFit, *, sigma_known: bool = True) -> 
         return 1.0
     if sigma_known and decay.misfit(larger.chi2, larger.dof) == 1.0:
         return float(chdtrc(extra, gained))
-    if larger.chi2 == 0:
-        return 0.0 if gained > 0 else 1.0
-    return float(fdtrc(extra, larger.dof, gained / extra / (larger.chi2 / larger.dof)))
+    # σ estimated from the data make this close to 1. It is less where they are the last digits of the file, not noise.
+    scatter = max(larger.chi2 / larger.dof, _LEAST_SCATTER)
+    return float(fdtrc(extra, larger.dof, gained / extra / scatter))
 
 
 def _decide(candidates: Sequence[Candidate], sigma_known: bool) -> Candidate:

@@ -17,8 +17,8 @@ from phoslab.fitting.decay import MOST_STATES, DecayData, DecayFit, fit_decay
 from phoslab.fitting.extrapolation import Beyond, beyond
 from phoslab.fitting.intervals import bootstrap_intervals, rate_intervals
 from phoslab.fitting.other_laws import OtherLaw, fit_other_laws
-from phoslab.fitting.screening import clipped_start, screen
-from phoslab.fitting.selection import Selection, select
+from phoslab.fitting.screening import Screened, clipped_start, screen
+from phoslab.fitting.selection import Selection, chance, select
 from phoslab.fitting.table import read_table
 
 Array = NDArray[np.float64]
@@ -28,6 +28,8 @@ _PILOT_STATES = 3
 # Noise that digits of a file hide altogether.
 _LEAST_NOISE = 1e-10
 _FEW_DOF = 10
+# A state less that so often looks as bad by chance is no worse.
+_AS_GOOD = 0.05
 
 
 @dataclass(frozen=True)
@@ -126,15 +128,38 @@ def fit_table(
     Raises:
         PhoslabError: the table cannot be read, or holds no decay.
     """
+    return fit_screened(
+        screen(read_table(path)),
+        states=states,
+        offset=offset,
+        noise_law=noise_law,
+        bootstrap=bootstrap,
+        extrapolate_s=extrapolate_s,
+        seed=seed,
+        file=path,
+    )
+
+
+def fit_screened(
+    screened: Screened,
+    *,
+    states: int | str = "auto",
+    offset: str = "auto",
+    noise_law: str = "auto",
+    bootstrap: int = 0,
+    extrapolate_s: Sequence[float] = (),
+    seed: int = 0,
+    file: str | PathLike[str] | None = None,
+) -> TableFit:
+    """Fit what a table holds; arguments and errors are those of `fit_table`."""
     if states != "auto" and states not in range(1, MOST_STATES + 1):
         raise PhoslabError(f"is {states!r}", field="states", remedy=f"Use auto, or 1 to {MOST_STATES}.")
-    screened = screen(read_table(path))
     flags = list(screened.flags)
     data, known = screened.data, screened.sigma_given
     numbers = list(range(1, MOST_STATES + 1)) if states == "auto" else [int(states)]
     offsets = {"auto": [False, True], "none": [False], "fit": [True]}[offset]
     if not _carries(data, numbers[0], offset=offsets[0]):
-        numbers, offsets = _reduced(data, numbers, offsets, flags, str(path))
+        numbers, offsets = _reduced(data, numbers, offsets, flags, file)
     pilot_states = max([n for n in range(1, _PILOT_STATES + 1) if _carries(data, n, spare=3)], default=1)
     if known:
         data = replace(data, law=noise.law_of(data.signal, data.sigma))
@@ -150,6 +175,16 @@ def fit_table(
     chosen = selection.chosen.fit
     fit = _final(data, chosen, chosen.n_states, known)
     flags += _doubts(fit, selection, states, known)
+    if states != "auto" and fit.n_states > 1 and fit.dof > 0:
+        fewer = fit_decay(
+            replace(fit.data, law=None), fit.n_states - 1, offset=fit.has_offset, rank_one=False, polish=False
+        )
+        p = chance(fewer, fit, sigma_known=known)
+        if p > _AS_GOOD:
+            flags.append(
+                f"too-many-states: {fewer.n_states} would do (F-test {p:.2g}): "
+                f"{', '.join(f'{kr:.4g}' for kr in fewer.kr_per_s)} 1/s fits as well, and one of the rates means nothing."
+            )
     interval = rate_intervals(fit, sigma_known=known)
     flags += _undetermined(fit, interval)
     other = fit_other_laws(fit.data)
@@ -187,7 +222,7 @@ def _carries(data: DecayData, n_states: int, *, offset: bool = False, spare: int
 
 
 def _reduced(
-    data: DecayData, numbers: list[int], offsets: list[bool], flags: list[str], file: str
+    data: DecayData, numbers: list[int], offsets: list[bool], flags: list[str], file: str | PathLike[str] | None
 ) -> tuple[list[int], list[bool]]:
     """Return what can still be fitted to so few values, and say so."""
     smaller = [n for n in range(1, numbers[0] + 1) if _carries(data, n)]
@@ -257,8 +292,10 @@ def _final(data: DecayData, chosen: DecayFit, n_states: int, known: bool) -> Dec
     """Refit to the last digit with weights from the fit's own model, and with σ from its own scatter if unknown."""
     options: dict[str, Any] = {"offset": chosen.has_offset, "rank_one": False}
     fit = fit_decay(data, n_states, near=[chosen.theta[:n_states]], **options)
-    if known or fit.dof <= 0:
+    if known:
         return fit
+    if fit.dof <= 0:
+        return replace(fit, covariance=np.full_like(fit.covariance, np.inf))
     channels = data.signal.shape[1]
     spare = np.maximum(data.used.sum(axis=0) - n_states - int(chosen.has_offset) - n_states / channels, 0.5)
     peak = np.abs(data.signal).max(axis=0)

@@ -69,7 +69,7 @@ def report(result: TableFit, name: str) -> str:
 
 
 def _with_error(value: float, error: float) -> str:
-    if not np.isfinite(error) or error <= 0:
+    if not 0 < error < 1e3 * value:
         return f"{value:.6g} (error not determined)"
     digits = int(np.clip(np.ceil(np.log10(value / error)) + 2, 2, 12))
     return f"{value:.{digits}g} ± {error:.2g} ({error / value:.1%})"

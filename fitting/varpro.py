@@ -267,6 +267,8 @@ def _linear(phi: Array, y: Array, signed: Mask | None) -> tuple[Array, Mask, Arr
     x, free = np.zeros((n_blocks, n_x)), np.zeros((n_blocks, n_x), bool)
     q, r = np.zeros(phi.shape), np.tile(np.eye(n_x), (n_blocks, 1, 1))
     for b in range(n_blocks):
+        if not usable[b].any():  # scipy's nnls crashes on a matrix without columns (its issue 24861)
+            continue
         columns = unit[b][:, usable[b]]
         sign_free = np.flatnonzero(may_be_negative[usable[b]])
         found = nnls(np.concatenate([columns, -columns[:, sign_free]], axis=1), y[b])[0]
@@ -306,5 +308,6 @@ def covariance(basis: Basis, solution: Solution) -> Array:
     if np.abs(np.diag(r)).min(initial=1.0) <= _EPS * J.shape[0]:
         return cov
     inverse = solve_triangular(r, np.eye(r.shape[0])) / scale[free, None]
-    cov[np.ix_(free, free)] = inverse @ inverse.T
+    with np.errstate(over="ignore"):  # a parameter that nothing determines
+        cov[np.ix_(free, free)] = inverse @ inverse.T
     return cov
