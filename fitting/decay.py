@@ -93,6 +93,9 @@ class DecayData:
 
     def weighted_by(self, model: Array) -> DecayData:
         """Return the same values with the noise that they would have about `model` (n, n_channels)."""
+        # A value that is left out binds the model to nothing, and a fast state may be anything there.
+        largest = 10 * np.abs(np.where(self.used, self.signal, 0.0)).max(axis=0)
+        model = np.where(self.used, np.clip(model, -largest, largest), 0.0)
         sigma = self.sigma if self.law is None else np.where(self.used, self.law.sigma(model), np.inf)
         return replace(self, sigma=sigma, expected=model)
 

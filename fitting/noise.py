@@ -35,8 +35,7 @@ class NoiseLaw:
         """Return (n, n_channels) σ for a signal without noise, of that shape."""
         S = np.maximum(signal, 0.0)
         a, b, c = self.coefficients
-        with np.errstate(over="ignore"):
-            variance = np.minimum(a + b * S + c * S**2, 1e300)
+        variance = a + b * S + c * S**2
         # A signal modelled as nothing has at least the noise of a thousandth of the peak.
         least = a + b * 1e-3 * S.max(axis=0) + c * (1e-3 * S.max(axis=0)) ** 2
         sigma: Array = np.sqrt(np.maximum(variance, np.maximum(least, 1e-300)))

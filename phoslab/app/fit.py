@@ -38,8 +38,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "-o",
         "--output",
         type=Path,
-        metavar="FILE|DIR",
-        help="material file to write; for a table, a JSON file of the fit; with --per-pixel, a folder",
+        metavar="FILE",
+        help="material file to write; for a table, a JSON file of the fit",
     )
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="also write a report to read (sessions)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
@@ -63,15 +63,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=(),
         metavar="S,S,...",
         help="continue the fit to these times after lamp-off, with the band that the data allow",
-    )
-    pixels = parser.add_argument_group("maps")
-    pixels.add_argument(
-        "--per-pixel", action="store_true", help="fit every pixel: maps of the material, in the folder -o names"
-    )
-    pixels.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="spread the pixels over a dask.distributed scheduler: on this machine, or by tls://",
     )
 
 
@@ -118,7 +109,7 @@ def _check_outputs(outputs: list[Path], sessions: list[Path]) -> None:
 def run(args: argparse.Namespace) -> int:
     if any(path.is_file() for path in args.session):
         return _fit_table(args)
-    return _fit_pixels(args) if args.per_pixel else _fit_session(args)
+    return _fit_session(args)
 
 
 def _needs(args: argparse.Namespace, option: str, what: str) -> None:
@@ -131,7 +122,10 @@ def _needs(args: argparse.Namespace, option: str, what: str) -> None:
 
 def _fit_table(args: argparse.Namespace) -> int:
     import json
+    import os
 
+    # Before numpy is loaded: matrices of a hundred rows gain nothing from threads and lose by them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from phoslab.errors import PhoslabError, printable
     from phoslab.files import write_text
 
@@ -139,11 +133,11 @@ def _fit_table(args: argparse.Namespace) -> int:
         raise PhoslabError(
             f"names {len(args.session)} inputs", field="the fit", remedy="Name one table, or one session."
         )
-    if args.report is not None or args.per_pixel or args.preset is not None:
+    if args.report is not None or args.preset is not None:
         raise PhoslabError(
             "is for sessions",
             file=args.session[0],
-            field="--report, --per-pixel or --preset",
+            field="--report or --preset",
             remedy="A table is fitted without; its report is printed.",
         )
     _check_outputs([p for p in (args.output,) if p is not None], args.session)
