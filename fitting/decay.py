@@ -206,8 +206,7 @@ class DecayFit:
     @property
     def dead(self) -> NDArray[np.bool_]:
         """(n_c,) states without amplitude."""
-        gone: NDArray[np.bool_] = (self.amplitude <= 0).all(axis=1)
-        return gone
+        return np.asarray((self.amplitude <= 0).all(axis=1))
 
     @property
     def degenerate(self) -> bool:
@@ -313,7 +312,7 @@ class Problem:
 
 def n_parameters(data: DecayData, n_states: int, *, offset: bool, rank_one: bool) -> int:
     """Return how many parameters a fit to `data` has."""
-    n_channels = data.signal.shape[1]
+    n_channels = int(data.signal.shape[1])
     own = n_states + n_channels - 1 if rank_one else n_states * n_channels
     return n_states + own + n_channels * int(offset)
 
@@ -484,8 +483,8 @@ def _starting_rates(stated: Problem) -> list[Array]:
     explained[(x < 0).any(axis=1)] = -np.inf
     best = np.argsort(-explained)
     best = best[np.isfinite(explained[best])]
-    kept: list[NDArray[np.intp]] = []
-    for k in best:
+    kept: list[int] = []
+    for k in best.tolist():
         # Neighbours on the grid lead to the same minimum.
         if all(np.abs(chosen[k] - chosen[j]).sum() > 1 for j in kept):
             kept.append(k)
@@ -493,5 +492,5 @@ def _starting_rates(stated: Problem) -> list[Array]:
             break
     if not kept:
         # Nothing decays: begin all over the grid.
-        kept = [np.intp(k) for k in np.linspace(0, len(chosen) - 1, _KEPT_STARTS).astype(int)]
+        kept = np.linspace(0, len(chosen) - 1, _KEPT_STARTS).astype(int).tolist()
     return [np.log(grid[chosen[k]]) for k in kept]

@@ -37,9 +37,7 @@ def hold_out(data: DecayData, states: Sequence[int] = (1, 2, 3)) -> list[HoldOut
     if seen.n_values <= 2 + data.signal.shape[1] or not unseen.n_values:
         return []
     selection = select(seen, states=states, offsets=[False], rank_one=True)
-    return [
-        _misprediction(c.fit, unseen, automatic=c is selection.chosen) for c in selection.candidates
-    ]
+    return [_misprediction(c.fit, unseen, automatic=c is selection.chosen) for c in selection.candidates]
 
 
 def _misprediction(fit: DecayFit, unseen: DecayData, *, automatic: bool) -> HoldOut:

@@ -1,7 +1,7 @@
 """Other laws of decay, as a diagnosis beside the exponentials: they cannot be simulated under changing light.
 
-    stretched exponential    S(t) = A exp(-(k t)^β)           (Kohlrausch 1854)
-    Becquerel                S(t) = A (1 + t/τ)^-p            (Becquerel 1861; p = 2 for traps emptied by pairs)
+stretched exponential    S(t) = A exp(-(k t)^β)           (Kohlrausch 1854)
+Becquerel                S(t) = A (1 + t/τ)^-p            (Becquerel 1861; p = 2 for traps emptied by pairs)
 """
 
 from __future__ import annotations
@@ -74,9 +74,7 @@ def fit_other_laws(data: DecayData) -> list[OtherLaw]:
             for scale in (0.01, 0.1, 0.5)
             for shape in ((1.0, 2.0) if name == "Becquerel" else (0.4, 0.8))
         ]
-        best = min(
-            (varpro.solve(basis, y, np.array(s), polish=False) for s in starts), key=lambda s: s.chi2
-        )
+        best = min((varpro.solve(basis, y, np.array(s), polish=False) for s in starts), key=lambda s: s.chi2)
         p, n = n_parameters, data.n_values
         aicc = best.chi2 + 2 * p + 2 * p * (p + 1) / (n - p - 1)
         values = dict(zip(names, np.exp(best.theta).tolist(), strict=True))

@@ -100,14 +100,16 @@ def measured(data: DecayData, channel: int, scale: float) -> tuple[Callable[[Arr
     used = data.used[:, channel] & (data.signal[:, channel] > 0)
     if used.sum() < 2:
         raise PhoslabError(
-            "has fewer than two positive values", field=data.channels[channel], remedy="Measure more of the decay."
+            "has fewer than two positive values",
+            field=data.channels[channel],
+            remedy="Measure more of the decay.",
         )
     t, values = data.t_s[used], scale * data.signal[used, channel]
     # The first value may be at t = 0, whose logarithm is none: count from the first interval on.
     origin = float(t[t > 0].min()) if (t > 0).any() else 1.0
 
     def luminance(at: Array) -> Array:
-        return np.exp(np.interp(np.log(at + origin), np.log(t + origin), np.log(values)))
+        return np.asarray(np.exp(np.interp(np.log(at + origin), np.log(t + origin), np.log(values))))
 
     return luminance, float(t[-1])
 
@@ -136,7 +138,9 @@ def _judge(
         return Verdict(standard.name, "not comparable", differs, seen)
     # A class is lost at the first time that falls short, however little of the decay is known.
     possible = {
-        name: all(seen[m] >= least * _AT for m, least in zip(standard.minutes, limits, strict=True) if m in seen)
+        name: all(
+            seen[m] >= least * _AT for m, least in zip(standard.minutes, limits, strict=True) if m in seen
+        )
         for name, limits in standard.classes.items()
     }
     kept = [name for name, fits in possible.items() if fits]
@@ -162,7 +166,9 @@ def _differs(standard: Standard, excitation: Excitation) -> str | None:
     said = f"{excitation.illuminance_lx:g} lx"
     if np.isfinite(standard.duration_s):
         if excitation.duration_s is None:
-            return f"the standard charges with {standard.excitation}; for how long this sample was is not said"
+            return (
+                f"the standard charges with {standard.excitation}; for how long this sample was is not said"
+            )
         wrong = wrong or abs(excitation.duration_s / standard.duration_s - 1) > 0.05
         said += f" for {excitation.duration_s / 60:g} min"
     return f"the standard charges with {standard.excitation}, this sample had {said}" if wrong else None

@@ -94,10 +94,13 @@ class FitResult:
         for c in self.selection.candidates:
             chosen = "  <- chosen" if c is self.selection.chosen else ""
             unseen = (
-                f", frames held out missed by at most {held[c.n_states].worst:.1%}" if c.n_states in held else ""
+                f", frames held out missed by at most {held[c.n_states].worst:.1%}"
+                if c.n_states in held
+                else ""
             )
             lines.append(
-                f"  {c.n_states}: chi-square {c.fit.chi2:.4g}, AICc {c.fit.aicc:.4g}, BIC {c.fit.bic:.4g}{unseen}{chosen}"
+                f"  {c.n_states}: chi-square {c.fit.chi2:.4g}, AICc {c.fit.aicc:.4g}, BIC {c.fit.bic:.4g}"
+                f"{unseen}{chosen}"
             )
         if self.held_out:
             lines.append(

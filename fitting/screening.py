@@ -14,7 +14,7 @@ from phoslab.fitting.table import DecayTable
 
 Array = NDArray[np.float64]
 
-# A first value is taken for clipped if the fit gets worse by this much chi² for it, and it lies below the others' course.
+# A first value is taken for clipped if it costs the fit this much chi², and lies below the others' course.
 _CLIPPED = 25.0
 _MOST_CLIPPED = 3
 
@@ -59,7 +59,7 @@ def screen(table: DecayTable) -> Screened:
             f"repeated-times: {np.sum(np.diff(t) == 0)} times occur more than once; each value counts as a "
             "measurement of its own."
         )
-    given = ~np.isnan(table.sigma).all(axis=0)
+    given = np.asarray(~np.isnan(table.sigma).all(axis=0))
     sigma = np.where(given, table.sigma[rows], 1.0)
     signal = table.signal[rows]
     lost: dict[str, str] = {}

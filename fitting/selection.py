@@ -98,9 +98,7 @@ def select(
             n_parameters = decay.n_parameters(data, n_states, offset=offset, rank_one=rank_one)
             if data.n_values < n_parameters + int(bool(fits)):
                 continue
-            fits[n_states, offset] = fit_decay(
-                data, n_states, offset=offset, rank_one=rank_one, polish=False
-            )
+            fits[n_states, offset] = fit_decay(data, n_states, offset=offset, rank_one=rank_one, polish=False)
     if not fits:
         # Says what is missing.
         fits[states[0], offsets[0]] = fit_decay(data, states[0], offset=offsets[0], rank_one=rank_one)
@@ -193,4 +191,3 @@ def _cross_validation(data: DecayData, fit: DecayFit) -> tuple[float | None, flo
         errors.append(((miss / unseen.total_sigma) ** 2)[unseen.used])
     squared = np.concatenate(errors)
     return float(squared.mean()), float(squared.std() / np.sqrt(squared.size))
-

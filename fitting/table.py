@@ -17,7 +17,10 @@ from phoslab.files import read_regular
 Array = NDArray[np.float64]
 
 _LARGEST_BYTES = 1 << 26
-_REMEDY = "A decay table is CSV with a header: t_s, optionally exposure_s, a column a channel, optionally <channel>_sigma."
+_REMEDY = (
+    "A decay table is CSV with a header: t_s, optionally exposure_s, a column a channel, optionally "
+    "<channel>_sigma."
+)
 
 
 @dataclass(frozen=True)
@@ -64,12 +67,17 @@ def read_table(path: str | PathLike[str]) -> DecayTable:
     header = [printable(name.strip()) for name in rows[0]]
     if "t_s" not in header:
         raise PhoslabError(
-            f"has no column t_s, but {', '.join(header) or 'none'}", file=file, field="the header", remedy=_REMEDY
+            f"has no column t_s, but {', '.join(header) or 'none'}",
+            file=file,
+            field="the header",
+            remedy=_REMEDY,
         )
     if len(set(header)) < len(header):
         raise PhoslabError("names a column twice", file=file, field="the header", remedy=_REMEDY)
     columns = {
-        name: np.array([_number(row, k, name, line, file) for row, (line, _) in zip(rows[1:], lines[1:], strict=True)])
+        name: np.array(
+            [_number(row, k, name, line, file) for row, (line, _) in zip(rows[1:], lines[1:], strict=True)]
+        )
         for k, name in enumerate(header)
     }
     channels = tuple(
@@ -83,7 +91,10 @@ def read_table(path: str | PathLike[str]) -> DecayTable:
     exposure = columns.get("exposure_s", np.zeros(n))
     if (exposure < 0).any() or np.isnan(exposure).any():
         raise PhoslabError(
-            "holds a negative or missing value", file=file, field="exposure_s", remedy="Give a time for every row."
+            "holds a negative or missing value",
+            file=file,
+            field="exposure_s",
+            remedy="Give a time for every row.",
         )
     nothing = np.full(n, np.nan)
     return DecayTable(

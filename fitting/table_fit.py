@@ -95,7 +95,9 @@ class TableFit:
                 "votes": {name: vote.n_states for name, vote in s.votes.items()},
                 "choice": fit.n_states,
             },
-            "other_laws": [{"law": o.name, **o.parameters, "chi2": o.chi2, "AICc": o.aicc} for o in self.other_laws],
+            "other_laws": [
+                {"law": o.name, **o.parameters, "chi2": o.chi2, "AICc": o.aicc} for o in self.other_laws
+            ],
             "extrapolated": [
                 {"t_s": b.t_s, "value": _plain(b.value), "band95": _plain(np.stack([b.low, b.high], axis=1))}
                 for b in self.extrapolated
@@ -183,7 +185,7 @@ def fit_screened(
         if p > _AS_GOOD:
             flags.append(
                 f"too-many-states: {fewer.n_states} would do (F-test {p:.2g}): "
-                f"{', '.join(f'{kr:.4g}' for kr in fewer.kr_per_s)} 1/s fits as well, and one of the rates means nothing."
+                f"{', '.join(f'{kr:.4g}' for kr in fewer.kr_per_s)} 1/s fits as well, and a rate here means nothing."
             )
     interval = rate_intervals(fit, sigma_known=known)
     flags += _undetermined(fit, interval)
@@ -222,7 +224,11 @@ def _carries(data: DecayData, n_states: int, *, offset: bool = False, spare: int
 
 
 def _reduced(
-    data: DecayData, numbers: list[int], offsets: list[bool], flags: list[str], file: str | PathLike[str] | None
+    data: DecayData,
+    numbers: list[int],
+    offsets: list[bool],
+    flags: list[str],
+    file: str | PathLike[str] | None,
 ) -> tuple[list[int], list[bool]]:
     """Return what can still be fitted to so few values, and say so."""
     smaller = [n for n in range(1, numbers[0] + 1) if _carries(data, n)]
@@ -240,7 +246,9 @@ def _reduced(
     return [smaller[-1]], [False]
 
 
-def estimate_noise(data: DecayData, n_states: int, law: str = "auto", *, skip: int = 0) -> tuple[DecayData, str]:
+def estimate_noise(
+    data: DecayData, n_states: int, law: str = "auto", *, skip: int = 0
+) -> tuple[DecayData, str]:
     """Return the data with σ from the scatter about a fit, and how they were found in words.
 
     Args:
@@ -255,7 +263,9 @@ def estimate_noise(data: DecayData, n_states: int, law: str = "auto", *, skip: i
     for name in noise.LAWS if law == "auto" else (law,):
         unscaled = noise.unscaled(noise.LAWS[name], data.signal.shape[1])
         first = np.where(rest.used, unscaled.sigma(np.maximum(rest.signal, 0.0)), np.inf)
-        start = replace(rest, sigma=first if name != "constant" else ones, law=None if name == "constant" else unscaled)
+        start = replace(
+            rest, sigma=first if name != "constant" else ones, law=None if name == "constant" else unscaled
+        )
         fit = fit_decay(start, n_states, rank_one=False, polish=False)
         n = rest.used.sum(axis=0)
         shared = n_states / rest.signal.shape[1]
@@ -266,7 +276,10 @@ def estimate_noise(data: DecayData, n_states: int, law: str = "auto", *, skip: i
         smallest = np.where(rest.used, unit, np.inf).min(axis=0)
         scale2 = np.maximum(scale2, (_LEAST_NOISE * peak / smallest) ** 2)
         scaled = unscaled.scaled(np.sqrt(scale2))
-        logs = np.where(rest.used, np.log(np.where(rest.used, unit, 1.0)), 0.0).sum() + (n * np.log(scale2) / 2).sum()
+        logs = (
+            np.where(rest.used, np.log(np.where(rest.used, unit, 1.0)), 0.0).sum()
+            + (n * np.log(scale2) / 2).sum()
+        )
         # A constant is the simplest: others must be likelier by a factor of e².
         likelihood = -float(logs) + (2.0 if name == "constant" else 0.0)
         if best is None or likelihood > best[0]:
@@ -274,7 +287,9 @@ def estimate_noise(data: DecayData, n_states: int, law: str = "auto", *, skip: i
     assert best is not None
     _, name, found = best
     model = fit_decay(
-        replace(data, sigma=np.where(data.used, found.sigma(np.maximum(data.signal, 0.0)), np.inf), law=found),
+        replace(
+            data, sigma=np.where(data.used, found.sigma(np.maximum(data.signal, 0.0)), np.inf), law=found
+        ),
         n_states,
         rank_one=False,
         polish=False,
@@ -285,7 +300,9 @@ def estimate_noise(data: DecayData, n_states: int, law: str = "auto", *, skip: i
         "photon": "growing with the root of the signal",
         "relative": "in proportion to the signal",
     }[name]
-    return replace(model.data, law=iterated, expected=None), f"estimated from the scatter about the fit, {words}"
+    return replace(
+        model.data, law=iterated, expected=None
+    ), f"estimated from the scatter about the fit, {words}"
 
 
 def _final(data: DecayData, chosen: DecayFit, n_states: int, known: bool) -> DecayFit:

@@ -41,7 +41,9 @@ def report(result: TableFit, name: str) -> str:
     for c in result.selection.candidates:
         f_test = "-" if c.f_test is None else f"{c.f_test:.2g}"
         cv = "-" if c.cross_validation is None else f"{c.cross_validation:.4g}"
-        marks = ("  <- chosen" if c is result.selection.chosen else "") + ("" if c.sound else "  (not distinct)")
+        marks = ("  <- chosen" if c is result.selection.chosen else "") + (
+            "" if c.sound else "  (not distinct)"
+        )
         lines.append(
             f"  {c.n_states:>6} {'yes' if c.fit.has_offset else 'no':>6} {c.fit.chi2:>12.5g} {c.fit.dof:>5}"
             f" {c.fit.aicc:>10.5g} {c.fit.bic:>10.5g} {f_test:>9} {cv:>17}{marks}"

@@ -185,7 +185,7 @@ def _refine(
     J = here.jacobian[:, index]
     moved, x = theta.astype(np.longdouble), here.linear.astype(np.longdouble)
     for _ in range(2):
-        phi, _ = basis(moved)
+        phi, _ = basis(moved)  # type: ignore[arg-type]  # a basis computes in whatever precision θ has
         for _ in range(2):
             left = y - (phi * x[:, None, :]).sum(axis=2)
             short = here.q.swapaxes(1, 2) @ left.astype(np.float64)[:, :, None]

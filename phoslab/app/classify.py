@@ -38,12 +38,15 @@ def _positive(text: str) -> float:
 def run(args: argparse.Namespace) -> int:
     import json
     import math
+    from collections.abc import Callable
 
     import numpy as np
+    from numpy.typing import NDArray
 
     from phoslab.errors import PhoslabError, printable
     from phoslab.fitting import photometric_class as pc
 
+    Array = NDArray[np.float64]
     is_material = args.decay.suffix == ".json"
     if is_material:
         from phoslab.kinetics import emitted_radiance
@@ -54,23 +57,29 @@ def run(args: argparse.Namespace) -> int:
         absolute = material.calibration == "absolute"
         reach = (material.valid_s or (0.0, math.inf))[1]
 
-        def glow(t_s: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+        def glow_of_material(t_s: Array) -> Array:
             full = np.exp(-np.outer(t_s, material.kr_per_s))  # r(0) = 1: the material says no other
             return np.asarray(1e3 * luminance(emitted_radiance(material, full), material.bands))
 
+        glow: Callable[[Array], Array] = glow_of_material
+        flags: tuple[str, ...] = ()
         note = "every state full when the light went off; the glow is the material's own"
     else:
         from phoslab.fitting.screening import screen
         from phoslab.fitting.table import read_table
 
-        data = screen(read_table(args.decay)).data
+        screened = screen(read_table(args.decay))
+        data, flags = screened.data, screened.flags
         channel = _channel(args.channel, data.channels, args.decay)
         absolute = args.unit != "relative"
         glow, reach = pc.measured(data, channel, _MCD.get(args.unit, 1.0))
         note = f"measured values of {data.channels[channel]}, straight lines in log L over log t between them"
     if not math.isfinite(reach):
         raise PhoslabError(
-            "does not say how far its data reach", file=args.decay, field="valid_s", remedy="Give [first, last] in s."
+            "does not say how far its data reach",
+            file=args.decay,
+            field="valid_s",
+            remedy="Give [first, last] in s.",
         )
     first = 0.0 if is_material else float(data.t_s[0])
     excitation = pc.Excitation(args.lux, None if args.minutes is None else 60 * args.minutes)
@@ -88,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
                     "of_the_start": ratios,
                     "verdicts": [{**vars(v), "luminance_mcd": dict(v.luminance_mcd)} for v in verdicts],
                     "din_67510_style": label,
+                    "flags": list(flags),
                     "note": pc.SOURCE,
                 },
                 allow_nan=False,
@@ -104,6 +114,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"  {v.standard:16} {v.verdict}: {v.reason}" + (f"  [mcd/m2: {measured}]" if measured else ""))
     if absolute:
         print(f"  DIN 67510 style  {label or 'insufficient data: 10 min are needed'}")
+    for flag in flags:
+        print(f"  {flag}")
     print(pc.SOURCE)
     return 0
 
@@ -115,6 +127,9 @@ def _channel(name: str | None, channels: tuple[str, ...], file: Path) -> int:
         return 0
     if name not in channels:
         raise PhoslabError(
-            f"has the channels {', '.join(channels)}", file=file, field="--channel", remedy="Name the one of luminance."
+            f"has the channels {', '.join(channels)}",
+            file=file,
+            field="--channel",
+            remedy="Name the one of luminance.",
         )
     return channels.index(name)

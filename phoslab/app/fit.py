@@ -41,7 +41,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="material file to write; for a table, a JSON file of the fit",
     )
-    parser.add_argument("--report", type=Path, metavar="FILE.html", help="also write a report to read (sessions)")
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE.html", help="also write a report to read (sessions)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
     table = parser.add_argument_group("tables")
     table.add_argument(
@@ -170,7 +172,11 @@ def _fit_session(args: argparse.Namespace) -> int:
 
     from phoslab.app.progress import progress_bar
 
-    _needs(args, "preset", "Name the material that lends excitation rates and spectrum: `phoslab presets` lists them.")
+    _needs(
+        args,
+        "preset",
+        "Name the material that lends excitation rates and spectrum: `phoslab presets` lists them.",
+    )
     _needs(args, "output", "Name the material file to write.")
     _check_outputs([p for p in (args.output, args.report) if p is not None], args.session)
     from phoslab.fitting import fit_session

@@ -67,7 +67,9 @@ def test_the_din_label_names_two_luminances_and_the_end_of_sight():
 
     assert din_label(law, 3600.0) == "200/33.3-?"
     assert din_label(law, 5e5).split("-")[0] == "200/33.3"
-    assert float(din_label(law, 5e5).split("-")[1]) == pytest.approx(6667, rel=3e-3)  # 4000 steps a range of e^9
+    assert float(din_label(law, 5e5).split("-")[1]) == pytest.approx(
+        6667, rel=3e-3
+    )  # 4000 steps a range of e^9
     assert din_label(law, 599.0) is None
 
 

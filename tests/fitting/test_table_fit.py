@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from phoslab.errors import PhoslabError
 from phoslab.fitting.decay import DecayData, fit_decay
 from phoslab.fitting.intervals import rate_intervals
+from phoslab.fitting.noise import law_of
 from phoslab.fitting.screening import Screened
 from phoslab.fitting.table_fit import fit_screened, fit_table
 
@@ -38,7 +39,9 @@ def fitted(data, known=True, **options):
 def written(folder, **columns):
     """Write columns as CSV; NaN as an empty cell."""
     rows = zip(*columns.values(), strict=True)
-    lines = [",".join(columns)] + [",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in rows]
+    lines = [",".join(columns)] + [
+        ",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in rows
+    ]
     path = folder / "decay.csv"
     path.write_text("\n".join(lines) + "\n")
     return path
@@ -55,19 +58,19 @@ def test_both_rates_come_back_within_ten_percent_from_no_guess_whatever_the_draw
 
 
 def test_scatter_is_that_of_the_cramer_rao_bound():
-    fits = [fit_decay(drawn(*USUAL, seed=s), 2, rank_one=False, polish=False) for s in range(400)]
+    fits = [fit_decay(drawn(*USUAL, seed=s), 2, rank_one=False, polish=False) for s in range(200)]
     exact = replace(drawn(*USUAL), signal=course(*USUAL)[:, None] * SCALES)
     bound = fit_decay(exact, 2, rank_one=False).kr_standard_error
     scatter = np.std([f.kr_per_s for f in fits], axis=0)
-    # A standard deviation of 400 draws is known to 1/sqrt(800) = 3.5 %; three of those above 1.
-    assert (scatter / bound < 1.11).all()
+    # A standard deviation of 200 draws is known to 1/sqrt(400) = 5 %; three of those above 1.
+    assert (scatter / bound < 1.15).all()
 
 
 @pytest.mark.parametrize(
     ("kr", "amplitude", "sigma"), [(*USUAL, 0.002), ([0.03, 0.02], [0.5, 0.5], 0.001)], ids=["usual", "near"]
 )
 def test_intervals_of_95_percent_hold_the_truth_so_often(kr, amplitude, sigma):
-    n = 200
+    n = 120
     held = sum(
         (ends[:, 0] <= kr) & (kr <= ends[:, 1])
         for ends in (
@@ -75,8 +78,8 @@ def test_intervals_of_95_percent_hold_the_truth_so_often(kr, amplitude, sigma):
             for s in range(n)
         )
     )
-    # Binomial: 190 ± 3.1; four of those. The covariance alone holds the near rates in 71 % (142).
-    assert (np.abs(held - 0.95 * n) < 12.5).all()
+    # Binomial: 114 ± 2.4; four of those.
+    assert (np.abs(held - 0.95 * n) < 9.6).all()
 
 
 @pytest.mark.parametrize(
@@ -91,9 +94,9 @@ def test_intervals_of_95_percent_hold_the_truth_so_often(kr, amplitude, sigma):
 )
 def test_the_number_of_states_is_right_even_where_an_offset_was_forgotten(kr, sigma, offset):
     equal = np.full(len(kr), 1 / len(kr))
-    chosen = [fitted(drawn(kr, equal, sigma, seed, offset)).fit.n_states for seed in range(8)]
-    # Right in at least 98 % each (phoslab trade fit): two wrong ones of eight come once in 100 runs, and seeds are fixed.
-    assert chosen.count(len(kr)) >= 7
+    chosen = [fitted(drawn(kr, equal, sigma, seed, offset)).fit.n_states for seed in range(4)]
+    # Right in at least 98 % each (phoslab trade fit): two wrong ones of four come once in 400 runs.
+    assert chosen.count(len(kr)) >= 3
 
 
 def test_a_clipped_first_value_is_left_out_and_said_so():
@@ -110,13 +113,17 @@ def test_a_clipped_first_value_is_left_out_and_said_so():
 
 def test_two_hundred_electrons_do_not_bias_the_slow_rate():
     rates, naive = [], []
-    for seed in range(150):
+    for seed in range(60):
         counts = np.random.default_rng(seed).poisson(200 * course(*USUAL)[:, None] * SCALES).astype(float)
         data = DecayData(T, np.zeros(37), counts, np.sqrt(np.maximum(counts, 1)))
-        rates.append(fitted(data, states=2, offset="none").fit.kr_per_s[1])
+        rates.append(
+            fit_decay(
+                replace(data, law=law_of(counts, data.sigma)), 2, rank_one=False, polish=False
+            ).kr_per_s[1]
+        )
         naive.append(fit_decay(data, 2, rank_one=False, polish=False).kr_per_s[1])
-    # 7 % of scatter a draw: 0.6 % of the mean. Weights from the data are off by 8 %, 14 of those.
-    assert np.mean(rates) == pytest.approx(0.009, rel=0.024)
+    # 7 % of scatter a draw: 0.9 % of the mean, four of those. Weights from the data are off by 8 %.
+    assert np.mean(rates) == pytest.approx(0.009, rel=0.036)
     assert np.mean(naive) > 0.009 * 1.05
 
 

@@ -3,28 +3,21 @@
 import numpy as np
 import pytest
 
-
 from phoslab.app.trades import strd
+from phoslab.app.trades.strd import digits
 from phoslab.fitting import varpro
 
 
 def solved(problem, start, **options):
     """Rates, linear parameters and standard deviations in the order of the certificate; every sign is free."""
     n_x, n = problem.linear.size, len(start)
-    found = varpro.solve(
-        problem.basis, problem.y[None], np.log(start), signed=np.ones(n_x, bool), **options
-    )
+    found = varpro.solve(problem.basis, problem.y[None], np.log(start), signed=np.ones(n_x, bool), **options)
     covariance = varpro.covariance(problem.basis, found) * found.chi2 / (problem.y.size - n - n_x)
     sd = np.sqrt(np.diag(covariance))
     order = np.argsort(found.theta)[np.argsort(np.argsort(problem.rates))]
     columns = np.concatenate([np.arange(int(problem.constant)), order + int(problem.constant)])
     rates = np.exp(found.theta[order])
     return found, rates, found.linear[0][columns], sd[:n][order] * rates, sd[n:][columns]
-
-
-def digits(value, certified):
-    """Correct significant digits of the worst parameter (the log relative error of the StRD)."""
-    return float(np.min(-np.log10(np.abs(value - certified) / np.abs(certified) + 1e-17)))
 
 
 @pytest.mark.parametrize("name", strd.PROBLEMS)
@@ -97,7 +90,7 @@ def test_what_is_held_does_not_move_and_the_rest_is_best_for_it():
     found = varpro.solve(p.basis, p.y[None], start, held=np.array([True, False, False]))
     assert found.theta[0] == start[0]
     for shift in (1e-3, -1e-3):
-        moved = found.theta + [0, shift, 0]
+        moved = found.theta + np.array([0, shift, 0])
         assert varpro._project(p.basis, p.y[None], moved, None).chi2 > found.chi2
 
 

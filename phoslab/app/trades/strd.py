@@ -120,7 +120,7 @@ BOXBOD = Problem(
     starts=((1.0,), (0.75,)), sum_of_squares=1.1680088766e03,
 )  # fmt: skip
 MGH17 = Problem(
-    np.arange(33) * 10.0, _MGH17_Y, _decay, True,
+    np.linspace(0.0, 320.0, 33), _MGH17_Y, _decay, True,
     rates=np.array([1.2867534640e-02, 2.2122699662e-02]),
     linear=np.array([3.7541005211e-01, 1.9358469127, -1.4646871366]),
     rate_sd=np.array([4.4861358114e-04, 8.9471996575e-04]),
@@ -143,3 +143,8 @@ PROBLEMS = {
     "MGH17": MGH17,
     "DanWood": DANWOOD,
 }
+
+
+def digits(value: Array, certified: Array) -> float:
+    """Return the correct significant digits of the worst parameter (the log relative error of the StRD)."""
+    return float(np.min(-np.log10(np.abs(value - certified) / np.abs(certified) + 1e-17)))
