@@ -44,6 +44,14 @@ def test_lanczos_is_solved_to_every_digit_of_its_certificate_from_both_starts(na
         assert min(digits(rate_sd, p.rate_sd), digits(linear_sd, p.linear_sd)) >= 10
 
 
+@pytest.mark.parametrize("name", ["Lanczos1", "Lanczos2"])
+def test_the_last_digits_do_not_depend_on_the_start(name):
+    p = strd.PROBLEMS[name]
+    first, second = (solved(p, start)[1] for start in p.starts)
+    # Float64 leaves 2e-13: its rounding of 1e-16 times sd / residual sd = 3000. Long double residuals leave 2e-15.
+    assert first == pytest.approx(second, rel=2e-14, abs=0)
+
+
 @pytest.mark.parametrize("start", [0, 1])
 @pytest.mark.parametrize("name", ["BoxBOD", "MGH17", "DanWood"])
 def test_problems_with_large_residuals_or_far_starts_are_solved_to_ten_digits(name, start):
