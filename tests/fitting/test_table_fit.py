@@ -200,6 +200,7 @@ Y = course(*USUAL) + np.random.default_rng(0).normal(0, 0.002, 37)
         (-Y, "negative throughout"),
         (np.full(37, np.nan), "no usable value"),
         (1 - Y, "rises"),
+        (1 - Y + 0.02 * (-1.0) ** np.arange(37), "rises"),
         (np.ones(37), "does not change"),
     ],
 )
