@@ -337,11 +337,12 @@ class Recorder:
         }
 
     def close(self, reason: str) -> None:
-        """Write the last line, `complete` or `interrupted`, with the summary; closing twice is harmless."""
+        """Write the last line, `complete` or `interrupted`, with the summary if any instant was planned; closing twice is harmless."""
         if self._journal is None:
             return
         try:
-            self._write("end", {"reason": reason, "summary": self.summary})
+            timed = {"summary": self.summary} if self._deviations_s else {}
+            self._write("end", {"reason": reason, **timed})
         finally:
             self.abandon()
 

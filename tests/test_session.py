@@ -339,7 +339,7 @@ def test_a_closed_session_is_never_continued(folder: Path) -> None:
     path = folder / "journal.jsonl"
     last = json.loads(path.read_text().splitlines()[-1])
     note = {**last, "seq": last["seq"] + 1, "event": "note", "text": "one more"}
-    del note["reason"], note["summary"]
+    del note["reason"]
     path.write_text(path.read_text() + json.dumps(note) + "\n")
     assert refused(folder).field == f"line {number + 1}"
 
@@ -349,7 +349,6 @@ def test_an_interrupted_session_may_be_resumed(folder: Path) -> None:
     edit_line(folder, line_of(folder, "end"), lambda line: line.update(reason="interrupted"))
     end = json.loads(path.read_text().splitlines()[-1])
     again = {**end, "seq": end["seq"] + 1, "event": "resume", "reason": "power cut"}
-    del again["summary"]
     complete = {**end, "seq": end["seq"] + 2, "reason": "complete"}
     path.write_text(path.read_text() + json.dumps(again) + "\n" + json.dumps(complete) + "\n")
     assert Session.open(folder).complete
