@@ -337,7 +337,7 @@ class Recorder:
         }
 
     def close(self, reason: str) -> None:
-        """Write the last line, `complete` or `interrupted`, with the summary if any instant was planned; closing twice is harmless."""
+        """Write the last line, `complete` or `interrupted`, and how planned instants were met; twice is harmless."""
         if self._journal is None:
             return
         try:
