@@ -68,18 +68,19 @@ class _Profile:
         self.warm = self.fit.theta
         best = float(self.fit.theta[self.index])
         edge = self.slowest if sign < 0 else self.fastest
-        if (edge - best) * sign <= 0:
+        room = (edge - best) * sign
+        if room <= 0:
             return sign * np.inf
         error = float(np.sqrt(self.fit.covariance[self.index, self.index]))
         step = error * self.height if np.isfinite(error) else 0.5
         step = float(np.clip(step, 1e-9, 1.5))
         inner, at_inner = best, -self.height
         while True:
-            outer = best + sign * min(step, abs(edge - best))
+            outer = best + sign * min(step, room)
             at_outer = self.rise(outer) - self.height
             if at_outer >= 0:
                 break
-            if outer == edge:
+            if step >= room:
                 return sign * np.inf
             inner, at_inner = outer, at_outer
             # The root of chi² is close to linear: go where it should cross, with some margin.

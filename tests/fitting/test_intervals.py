@@ -1,0 +1,31 @@
+"""Profile intervals: what the statistics of them cannot show (those are in test_table_fit)."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from phoslab.fitting import decay
+from phoslab.fitting.decay import DecayData, fit_decay
+from phoslab.fitting.intervals import _Profile
+
+
+def test_the_search_for_an_end_that_is_not_there_comes_to_an_end():
+    """Wherever the fit lies: best + (edge - best) need not be the edge, as it rounds."""
+    t_s = np.arange(12.0)
+    signal = np.exp(-0.3 * t_s)[:, None]
+    data = DecayData(t_s, np.zeros(12), signal, np.full((12, 1), 1e-3), channels=("G",))
+    fit = fit_decay(data, 1)
+    stated = decay.problem(data, 1, offset=False, rank_one=fit.rank_one)
+    for best in np.random.default_rng(0).uniform(-2.0, 0.0, 200):
+        theta = fit.theta.copy()
+        theta[0] = best
+        profile, asked = _Profile(replace(fit, theta=theta), stated, 0, 1.96), []
+
+        def flat(value: float, asked: list[float] = asked) -> float:
+            asked.append(value)
+            assert len(asked) < 200
+            return 0.0
+
+        profile.rise = flat
+        assert profile.end(-1) == -np.inf
+        assert profile.end(1) == np.inf
