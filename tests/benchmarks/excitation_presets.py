@@ -1,0 +1,183 @@
+"""Fit the excitation of the bench's eight paints, and say what came out and how far it is off.
+
+    python tests/benchmarks/excitation_presets.py DIR [PRESET ...]
+
+DIR is to hold, for each preset, what `phoslab measure all --only decay,excitation --simulate PRESET -o DIR/PRESET`
+leaves; what is not there is measured first (two minutes each). Where the filter lies, what it lets through and the
+lamp's light are taken as known; the paint is not: it holds traps of many depths, and does not obey the model.
+
+A rate's truth: what unit light in the band sets free in a second while nothing is filled. The bench's paint begins to
+charge with that slope. A fit's ke is an average over the whole course, and Λ takes the factor back; so the shape of ke
+over the bands is compared, its share of the whole, and the glow itself, over the whole course and at its end.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.bands import Bands
+from phoslab.fitting.charging import LampCourse, Steps, Table
+from phoslab.fitting.decay import DecayData, choose, fit_candidates
+from phoslab.fitting.excitation import Charge, ExcitationData, ExcitationFit, fit_excitation
+from phoslab.fitting.light import band_light
+from phoslab.instruments.bench import lights, scene
+from phoslab.instruments.bench.courses import Bulb
+from phoslab.instruments.bench.lvf import Lvf
+from phoslab.instruments.bench.paints import paint
+from phoslab.raw import exposure_factor, read_raw
+from phoslab.session import Frame, Session
+
+Array = NDArray[np.float64]
+
+PRESETS = ("blue", "green", "orange", "pink", "purple", "red", "white", "yellow")
+NM = np.arange(360.0, 781.0)
+POSITIONS_NM = np.linspace(400.0, 700.0, 31)
+REPEATABILITY = 0.005
+
+
+def lamp_course(bulb: Bulb) -> LampCourse:
+    """The bench's lamp: most of its light within 0.1 s, the rest as it warms up over minutes; off as a square."""
+
+    def rise(t: Array) -> Array:
+        return np.asarray((1 - np.exp(-t / bulb.rise_s)) * (1 - bulb.cold * np.exp(-t / bulb.warm_s)))
+
+    edges = np.concatenate([np.linspace(0, 1, 33), np.geomspace(1, 1800, 33)[1:]])
+    level = np.concatenate([Table.of(rise, 1.0, 32).level, rise((edges[32:-1] + edges[33:]) / 2)])
+    return LampCourse(Table(edges, level), Table.of(lambda t: (1 - t / bulb.fade_s) ** 2, bulb.fade_s))
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Masks (n_places, h, w) along the filter, and (h, w) beside it on the paint, and off the paint."""
+
+    along: NDArray[np.bool_]
+    u: list[Array]
+    beside: NDArray[np.bool_]
+    off: NDArray[np.bool_]
+
+
+def places(shape: tuple[int, int], lvf: Lvf) -> Places:
+    """31 stretches of 10 nm, from the middle two thirds of the filter's width."""
+    view = scene.View.of(shape)
+    right, down = scene.STRIP.across(view.x_mm, view.y_mm)
+    u = view.mean(right + lvf.tilt * (down - 0.5))
+    across = view.mean(down)
+    inside = (np.abs(across - 0.5) < 0.33) & (u > 0.01) & (u < 0.99)
+    nm = lvf.centre_nm(u.ravel()).reshape(u.shape)
+    along = [inside & (np.abs(nm - centre) < 5) for centre in POSITIONS_NM]
+    painted = view.mean(scene.SAMPLE.covers(view.x_mm, view.y_mm)) == 1
+    beside = painted & (np.abs(across - 0.5) > 0.9) & (np.abs(across - 0.5) < 1.3) & (u > 0.05) & (u < 0.95)
+    off = view.mean(scene.SAMPLE.covers(view.x_mm, view.y_mm)) == 0
+    return Places(np.stack(along), [u[m] for m in along], beside, off)
+
+
+def means(frames: tuple[Frame, ...], darks: tuple[Frame, ...], masks: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Signal and its σ, (n_frames, n_masks, 3), dark frames subtracted, exposure divided out."""
+
+    def one(frame: Frame) -> tuple[Array, Array]:
+        raw = read_raw(frame.path)
+        value, variance = np.empty((len(masks), 3)), np.empty((len(masks), 3))
+        for c in range(3):
+            for m, mask in enumerate(masks):
+                seen = mask & (raw.colours == c)
+                x = raw.linear[seen].astype(float)
+                clipped = raw.saturated[seen].mean() > 0.01
+                # Around a plane and not the mean: the glow is not even.
+                yy, xx = np.nonzero(seen)
+                plane = np.stack([np.ones(x.size), xx, yy, xx**2.0], 1)
+                left = x - plane @ np.linalg.lstsq(plane, x, rcond=None)[0]
+                value[m, c] = np.nan if clipped else np.median(left) + x.mean()
+                variance[m, c] = 1.57 * left.var() / x.size
+        return value, variance
+
+    known: dict[tuple[float, float], tuple[Array, Array]] = {}
+    for setting in {(f.exposure_s, f.iso) for f in frames}:
+        same = [one(f) for f in darks if (f.exposure_s, f.iso) == setting]
+        known[setting] = (np.mean([v for v, _ in same], 0), np.sum([s for _, s in same], 0) / len(same) ** 2)
+    signal, sigma = [], []
+    for f in frames:
+        value, variance = one(f)
+        dark, dark_variance = known[f.exposure_s, f.iso]
+        factor = exposure_factor(f.exposure_s, f.iso, f.f_number)
+        signal.append((value - dark) * factor)
+        sigma.append(np.sqrt(variance + dark_variance) * factor)
+    return np.array(signal), np.array(sigma)
+
+
+def lit(session: Session, frames: tuple[Frame, ...]) -> tuple[Array, Array]:
+    """(n,) how long the lamp had shone before each frame, and how long it had been off."""
+    edges = session.edges_of("lamp")
+    times = []
+    for f in frames:
+        off = max(e.at_s for e in edges if e.to == "off" and e.at_s <= f.start_s)
+        on = max(e.at_s for e in edges if e.to == "on" and e.at_s <= off)
+        times.append((off - on, f.start_s - off))
+    a, b = np.array(times).T
+    return a, b
+
+
+def fitted(folder: Path) -> tuple[ExcitationFit, ExcitationData, Charge, Array]:
+    """Fit one preset's two sessions; the fit, what went in, and how often every light exceeds what the bands hold."""
+    decay, excitation = Session.open(folder / "01-decay"), Session.open(folder / "02-excitation")
+    lvf, lamp = Lvf(), lamp_course(Bulb())
+    spectrum = lights.halogen(3000.0)(NM)
+    frames = excitation.frames_of("excitation")
+    shape = read_raw(frames[0].path).values.shape
+    where = places(shape, lvf)
+    bands = wide_bands(SUB)
+    transmission = np.stack([lvf.transmission(u, NM).mean(axis=0) for u in where.u])
+    light, full = band_light(NM, spectrum, bands, transmission), band_light(NM, spectrum, bands)
+
+    fading = decay.frames_of("decay")
+    off_s = decay.lamp_off_s or 0.0
+    masks = np.concatenate([where.along, [where.along.any(axis=0), where.off]])
+    seen, noise = means(fading, decay.frames_of("dark"), masks)
+    bright = seen[:, :-1] - seen[:, -1:]
+    whole = np.where(np.isfinite(noise[:, -2]) & np.isfinite(seen[:, -2]), noise[:, -2], np.inf)
+    data = DecayData(
+        t_s=np.array([f.start_s - off_s for f in fading]),
+        exposure_s=np.array([f.exposure_s for f in fading]),
+        signal=np.nan_to_num(bright[:, -1]),
+        sigma=whole,
+        repeatability=REPEATABILITY,
+    )
+    fit = choose(fit_candidates(data))
+    n, k = fit.n_states, np.r_[: fit.n_states, fit.n_parameters - fit.n_states : fit.n_parameters]
+    scale = np.concatenate([np.ones(n), 1 / fit.amplitude])
+    charge = Charge(
+        fit.kr_per_s,
+        fit.amplitude,
+        fit.covariance[np.ix_(k, k)] * np.outer(scale, scale),
+        Steps.of(np.array([5400.0]), np.array([0.5]), np.array([0.01]), lamp),
+        full,
+    )
+    green = int(np.argmax(fit.colour))
+    response = np.nanmean((bright[:, :-1] / bright[:, -1:])[:12, :, green], axis=0)
+
+    masks = np.concatenate([where.along, [where.beside]])
+    seen, noise = means(frames, excitation.frames_of("dark"), masks)
+    glow = seen[:, :-1] - seen[:, -1:]
+    # All three channels through the decay's colour: as one, of the strongest channel.
+    weight = np.where(np.isfinite(glow), 1 / noise[:, :-1] ** 2, 0.0)
+    information = (weight * fit.colour**2).sum(axis=2)
+    signal = (weight * fit.colour * np.nan_to_num(glow)).sum(axis=2) / np.maximum(information, 1e-300)
+    sigma = np.where(information > 0, 1 / np.sqrt(np.maximum(information, 1e-300)), np.inf)
+    on, since = lit(excitation, frames)
+    steps = Steps.of(on, since, np.array([f.exposure_s for f in frames]), lamp)
+    measured = ExcitationData(steps, signal, sigma, light, bands, response, REPEATABILITY)
+    return fit_excitation(measured, charge), measured, charge, on
+
+
+SUB = 1
+
+
+def wide_bands(n: int) -> Bands:
+    """The eight bands, each cut into `n`, and one more at either end for light that is not theirs."""
+    width = 37.5 / n
+    return Bands(np.concatenate([[362.5], np.linspace(400, 700, 8 * n + 1), [700 + 37.5]]))
