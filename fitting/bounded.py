@@ -89,8 +89,10 @@ def _step(here: Search, lower: Array, damping: float, scale: Array, moving: Mask
     n = free.size
     low = (lower - here.theta)[tied] * scale[tied]
     found = np.zeros(order.size)
-    found[n:] = low + nnls(r[n:, n:], right[n:] - r[n:, n:] @ low)[0]
-    found[:n] = solve_triangular(r[:n, :n], right[:n] - r[:n, n:] @ found[n:])
+    if tied.size:  # scipy's nnls crashes on a matrix without columns
+        found[n:] = low + nnls(r[n:, n:], right[n:] - r[n:, n:] @ low)[0]
+    if free.size:
+        found[:n] = solve_triangular(r[:n, :n], right[:n] - r[:n, n:] @ found[n:])
     step = np.zeros(scale.size)
     step[order] = found / scale[order]
     return step

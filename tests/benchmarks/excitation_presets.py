@@ -6,9 +6,10 @@ DIR is to hold, for each preset, what `phoslab measure all --only decay,excitati
 leaves; what is not there is measured first (two minutes each). Where the filter lies, what it lets through and the
 lamp's light are taken as known; the paint is not: it holds traps of many depths, and does not obey the model.
 
-A rate's truth: what unit light in the band sets free in a second while nothing is filled. The bench's paint begins to
-charge with that slope. A fit's ke is an average over the whole course, and Λ takes the factor back; so the shape of ke
-over the bands is compared, its share of the whole, and the glow itself, over the whole course and at its end.
+The truth of a band's excitation, up to one factor a paint: the electrons that the lamp's light in it sets free in a second.
+The factor is not comparable, since a trap distribution has no r; so the table compares shares of the whole. Beside
+them: how well the glow's level after the longest exposure is met, how the modelled rise compares with the measured
+one, and how saturation (the scale of ke) is correlated with Λ and r(0).
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from numpy.typing import NDArray
 from phoslab.bands import Bands
 from phoslab.fitting.charging import LampCourse, Steps, Table
 from phoslab.fitting.decay import DecayData, choose, fit_candidates
-from phoslab.fitting.excitation import Charge, ExcitationData, ExcitationFit, fit_excitation
+from phoslab.fitting.excitation import ExcitationFit, fit_excitation
+from phoslab.fitting.excitation_model import Charge, ExcitationData
 from phoslab.fitting.light import band_light
 from phoslab.instruments.bench import lights, scene
 from phoslab.instruments.bench.courses import Bulb
@@ -39,6 +41,9 @@ PRESETS = ("blue", "green", "orange", "pink", "purple", "red", "white", "yellow"
 NM = np.arange(360.0, 781.0)
 POSITIONS_NM = np.linspace(400.0, 700.0, 31)
 REPEATABILITY = 0.005
+CUTS = 2
+"""Parts into which each of the eight bands is cut for the fit."""
+
 
 
 def lamp_course(bulb: Bulb) -> LampCourse:
@@ -77,23 +82,23 @@ def places(shape: tuple[int, int], lvf: Lvf) -> Places:
     return Places(np.stack(along), [u[m] for m in along], beside, off)
 
 
-def means(frames: tuple[Frame, ...], darks: tuple[Frame, ...], masks: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Signal and its σ, (n_frames, n_masks, 3), dark frames subtracted, exposure divided out."""
+def means(
+    frames: tuple[Frame, ...], darks: tuple[Frame, ...], masks: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Signal and its σ, (n_frames, n_masks, 3), dark frames subtracted, exposure divided out; NaN where clipped."""
+    colours = read_raw(frames[0].path).colours
+    pixels = [[np.nonzero((mask & (colours == c)).ravel())[0] for c in range(3)] for mask in masks]
 
     def one(frame: Frame) -> tuple[Array, Array]:
         raw = read_raw(frame.path)
+        linear, clipped = raw.linear.ravel().astype(float), raw.saturated.ravel()
         value, variance = np.empty((len(masks), 3)), np.empty((len(masks), 3))
-        for c in range(3):
-            for m, mask in enumerate(masks):
-                seen = mask & (raw.colours == c)
-                x = raw.linear[seen].astype(float)
-                clipped = raw.saturated[seen].mean() > 0.01
-                # Around a plane and not the mean: the glow is not even.
-                yy, xx = np.nonzero(seen)
-                plane = np.stack([np.ones(x.size), xx, yy, xx**2.0], 1)
-                left = x - plane @ np.linalg.lstsq(plane, x, rcond=None)[0]
-                value[m, c] = np.nan if clipped else np.median(left) + x.mean()
-                variance[m, c] = 1.57 * left.var() / x.size
+        for m, c in np.ndindex(len(masks), 3):
+            x = linear[pixels[m][c]]
+            # Hot pixels are left out; the rest of the spread is noise and the glow's own slope over 10 nm.
+            near = np.abs(x - np.median(x)) <= 5 * 1.48 * np.median(np.abs(x - np.median(x))) + 1e-9
+            value[m, c] = np.nan if clipped[pixels[m][c]].mean() > 0.01 else x[near].mean()
+            variance[m, c] = x[near].var() / near.sum()
         return value, variance
 
     known: dict[tuple[float, float], tuple[Array, Array]] = {}
@@ -122,15 +127,15 @@ def lit(session: Session, frames: tuple[Frame, ...]) -> tuple[Array, Array]:
     return a, b
 
 
-def fitted(folder: Path) -> tuple[ExcitationFit, ExcitationData, Charge, Array]:
-    """Fit one preset's two sessions; the fit, what went in, and how often every light exceeds what the bands hold."""
+def fitted(folder: Path) -> tuple[ExcitationFit, ExcitationData, Charge]:
+    """Fit one preset's two sessions; the fit, and what went in."""
     decay, excitation = Session.open(folder / "01-decay"), Session.open(folder / "02-excitation")
     lvf, lamp = Lvf(), lamp_course(Bulb())
     spectrum = lights.halogen(3000.0)(NM)
     frames = excitation.frames_of("excitation")
     shape = read_raw(frames[0].path).values.shape
     where = places(shape, lvf)
-    bands = wide_bands(SUB)
+    bands = wide_bands(CUTS)
     transmission = np.stack([lvf.transmission(u, NM).mean(axis=0) for u in where.u])
     light, full = band_light(NM, spectrum, bands, transmission), band_light(NM, spectrum, bands)
 
@@ -171,13 +176,54 @@ def fitted(folder: Path) -> tuple[ExcitationFit, ExcitationData, Charge, Array]:
     on, since = lit(excitation, frames)
     steps = Steps.of(on, since, np.array([f.exposure_s for f in frames]), lamp)
     measured = ExcitationData(steps, signal, sigma, light, bands, response, REPEATABILITY)
-    return fit_excitation(measured, charge), measured, charge, on
-
-
-SUB = 1
+    return fit_excitation(measured, charge, Bands.uniform()), measured, charge
 
 
 def wide_bands(n: int) -> Bands:
     """The eight bands, each cut into `n`, and one more at either end for light that is not theirs."""
     width = 37.5 / n
     return Bands(np.concatenate([[362.5], np.linspace(400, 700, 8 * n + 1), [700 + 37.5]]))
+
+
+def truth(name: str) -> Array:
+    """(8,) share of each band in what the whole lamp excites."""
+    light = lights.halogen(3000.0)(NM)
+    part = band_light(NM, light * paint(name).excitation(NM), Bands.uniform())
+    return np.asarray(part / part.sum())
+
+
+def measure(name: str, folder: Path) -> None:
+    command = [sys.executable, "-m", "phoslab", "measure", "all", "--only", "decay,excitation"]
+    subprocess.run([*command, "--simulate", name, "-o", str(folder)], check=True, stdout=subprocess.DEVNULL)
+
+
+def main() -> None:
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    where, chosen = Path(sys.argv[1]), sys.argv[2:] or PRESETS
+    np.set_printoptions(precision=3, suppress=True, linewidth=150)
+    for name in chosen:
+        if not (where / name).exists():
+            measure(name, where / name)
+        fit, _, _ = fitted(where / name)
+        stored = fit.product.sum(axis=0) * band_light(NM, lights.halogen(3000.0)(NM), fit.bands)
+        print(f"[[{name}]] kr {fit.kr_per_s} 1/s, {'one shape' if fit.common_shape else 'own shapes'}")
+        print(f"  discrepancy {fit.discrepancy:.2f}, chi-square / dof {fit.chi2 / fit.dof:.2f}")
+        print(f"  level, bright places      median {np.nanmedian(np.abs(fit.level_error)):.1%}, "
+              f"worst {np.nanmax(np.abs(fit.level_error)):.1%}")
+        ratio = fit.rise_s[:, 1] / fit.rise_s[:, 0]
+        print(f"  half rise, model/measured {np.nanmedian(ratio):.2f} ({np.nanmedian(fit.rise_s[:, 0]):.1f} s measured)")
+        for i in range(fit.n_states):
+            known = "only Λ ke" if fit.product_only[i] else "ke"
+            print(f"  state {i}: {known}; a {fit.a_per_s[i]:.3g} 1/s, r(0) {fit.initial[i]:.2f}, error of log a "
+                  f"{fit.scale_error[i]:.2f}, correlation of log a with log Λ {fit.correlation[i, 0]:.2f}, "
+                  f"with log r(0) {fit.correlation[i, 1]:.2f}")
+            print(f"    ke [1e-3]    {1e3 * fit.ke_m2_per_J[i]}")
+            print(f"    relative se of Λ ke {fit.product_standard_error[i] / np.maximum(fit.product[i], 1e-300)}")
+            print(f"    upper limit  {1e3 * fit.ke_upper_limit[i]}")
+        print(f"  share of excitation by band {stored / stored.sum()}")
+        print(f"  truth                       {truth(name)}")
+
+
+if __name__ == "__main__":
+    main()
