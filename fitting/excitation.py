@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from phoslab.bands import Bands, overlap_nm
+from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.fitting.bounded import Search, covariance_of, reach, search
 from phoslab.fitting.excitation_model import Charge, ExcitationData, Problem, ends
@@ -106,7 +106,6 @@ class ExcitationFit:
 def fit_excitation(
     data: ExcitationData,
     charge: Charge,
-    bands: Bands | None = None,
     *,
     common_shape: bool | None = None,
     limits: bool = True,
@@ -114,16 +113,13 @@ def fit_excitation(
     """Fit excitation rates, jointly with what the decay says.
 
     Args:
-        bands: in which the rates are given, each of one or several of `data.bands`; None: those. Narrow bands to fit in
-            and wide ones to report keep a rate that changes within a band from being taken for an error.
         common_shape: whether all states have one excitation spectrum but for a factor; None: what AICc prefers.
         limits: also find upper limits of rates that are below the limit of detection.
 
     Raises:
-        PhoslabError: there is no light, no signal, fewer values than parameters, or bands that do not fit together.
+        PhoslabError: there is no light, no signal, or fewer values than parameters.
     """
     _check(data, charge)
-    into = _merging(data.bands, bands or data.bands, charge.light)
     n_c = charge.kr_per_s.size
     shapes = [True] if common_shape or n_c == 1 else [False] if common_shape is False else [True, False]
     problems = [Problem(data, charge, common) for common in shapes]
@@ -131,7 +127,7 @@ def fit_excitation(
     if not best.follows:
         # What is left is not noise: the decay stays what it is, and the end of the rise counts most.
         best = min((_with_discrepancy(problem) for problem in problems), key=_Found.aicc)
-    return _conclude(best, data, bands or data.bands, into, limits)
+    return _conclude(best, data, limits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,12 +188,18 @@ def _with_discrepancy(problem: Problem) -> _Found:
 
 
 def _check(data: ExcitationData, charge: Charge) -> None:
-    n_c, n = charge.kr_per_s.size, data.bands.n
+    n_c, n = charge.kr_per_s.size, data.n_shapes
     if data.n_values < n:
         raise PhoslabError(
-            f"has {data.n_values} usable values, too few for {n} bands",
+            f"has {data.n_values} usable values, too few for {n} unknown rates",
             field="the excitation series",
             remedy="Measure more exposure times, expose better, or fit fewer bands.",
+        )
+    if n > len(data.light):
+        raise PhoslabError(
+            f"has {len(data.light)} places under the filter, too few to tell {n} rates apart",
+            field="the excitation series",
+            remedy="Take more places, or fit fewer bands.",
         )
     if not charge.light.sum() > 0 or not data.light.sum() > 0:
         raise PhoslabError(
@@ -226,9 +228,10 @@ def _check(data: ExcitationData, charge: Charge) -> None:
 
 
 def _conclude(
-    best: _Found, data: ExcitationData, bands: Bands, into: Array, limits: bool
+    best: _Found, data: ExcitationData, limits: bool
 ) -> ExcitationFit:
-    """Turn a minimum into rates with errors; `into` (bands.n, data.bands.n) merges bands. `data` has the plain noise."""
+    """Turn a minimum into rates with errors. `data` has the plain noise."""
+    into = data.band_means
     problem, theta, n_c = best.problem, best.search.theta, best.problem.n_c
     misfit = 1.0 if best.follows else best.search.chi2 / best.dof
     covariance = covariance_of(best.search.jacobian) * misfit
@@ -241,14 +244,14 @@ def _conclude(
     # G = A / (kr r(0))
     initial_by = -gain_by
     initial_by[:, : 2 * n_c] += np.concatenate([-np.eye(n_c), np.eye(n_c)], axis=1)
-    product, product_by = _product(problem, theta, into)
+    product, product_by = _product(problem, theta)
     product_error = _errors(product_by, covariance)
     seen = product > _ONE_SIDED * product_error
     upper = np.full(ke.shape, np.nan)
     if limits:
         allowed = best.search.chi2 + _ONE_SIDED**2 * misfit
         for i, j in np.argwhere(~seen):
-            largest = _largest_product(problem, best.search, into, int(i), int(j), allowed)
+            largest = _largest_product(problem, best.search, int(i), int(j), allowed)
             upper[i, j] = largest / np.exp(log_gain[i])
     model = problem.signal(theta)[0]
     fresh = problem.fresh
@@ -256,7 +259,7 @@ def _conclude(
     bright = end > _BRIGHT * end.max()
     rise = np.stack([half_rise(data.steps.lit_s, y / fresh[:, None]) for y in (data.signal, model)], axis=1)
     return ExcitationFit(
-        bands=bands,
+        bands=data.bands,
         kr_per_s=np.exp(theta[:n_c]),
         amplitude=np.exp(theta[n_c : 2 * n_c]),
         ke_m2_per_J=np.where(seen, ke, 0.0),
@@ -282,24 +285,10 @@ def _conclude(
     )
 
 
-def _merging(fine: Bands, wide: Bands, light: Array) -> Array:
-    """Return (wide.n, fine.n) the weights of narrow bands in wide ones: the lamp's light in them."""
-    shared = overlap_nm(fine, wide)
-    whole = np.isclose(shared, fine.widths_nm) | (shared < 1e-9 * fine.widths_nm)
-    weight = shared * (light / fine.widths_nm)
-    if not whole.all() or not np.allclose(shared.sum(axis=1), wide.widths_nm) or not (weight.sum(axis=1) > 0).all():
-        raise PhoslabError(
-            "are not made of whole bands of the fit with light in them",
-            field="the bands of the excitation rates",
-            remedy="Cut each band into equal parts to fit in, and choose bands that the lamp reaches.",
-        )
-    merged: Array = weight / weight.sum(axis=1, keepdims=True)
-    return merged
-
-
-def _product(problem: Problem, theta: Array, into: Array) -> tuple[Array, Array]:
+def _product(problem: Problem, theta: Array) -> tuple[Array, Array]:
     """Return (n_c, n_bands) G_i ke_ij and (n_c, n_bands, n_θ) its derivatives."""
     ke, ke_by = problem.ke(theta)
+    into = problem.data.band_means
     log_gain, gain_by, _ = problem.gain(theta)
     factor = np.exp(log_gain)
     product = factor[:, None] * (ke @ into.T)
@@ -307,11 +296,11 @@ def _product(problem: Problem, theta: Array, into: Array) -> tuple[Array, Array]
     return product, by + product[:, :, None] * gain_by[:, None, :]
 
 
-def _largest_product(problem: Problem, found: Search, into: Array, i: int, j: int, chi2: float) -> float:
+def _largest_product(problem: Problem, found: Search, i: int, j: int, chi2: float) -> float:
     """Return how large G_i ke_ij can be before chi² exceeds `chi2`."""
 
     def value(theta: Array) -> tuple[float, Array]:
-        product, by = _product(problem, theta, into)
+        product, by = _product(problem, theta)
         return float(product[i, j]), by[i, j]
 
     return reach(value, problem.residual, found, problem.lower, chi2)

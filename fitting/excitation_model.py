@@ -1,7 +1,7 @@
 """Excitation rates from the glow after exposures of growing length through the LVF (Nalbach 2017, 8.4.6).
 
-Place s under the filter gets the light M_sj in band j (lamp times transmission, W/m²), and so is excited by
-a_is = Σ_j ke_ij M_sj. A frame f sees there
+A rate over wavelength is a sum of shapes j with coefficients ke_ij (`fitting.light`). Place s under the filter gets the
+light M_sj in shape j (lamp times transmission, W/m²), and so is excited by a_is = Σ_j ke_ij M_sj. A frame f sees there
 
     S_fs = g_s Σ_i G_i <kr_i r_is>_f        G_i = A_i / q_i
 
@@ -40,7 +40,7 @@ class Charge:
         covariance: (2 n_c, 2 n_c) of (log kr, log A).
         steps: one frame, to whose shutter nothing but the lamp's course matters: `Steps.of` with the charge's length
             and a delay beyond the fade.
-        light: (n_bands,) the whole lamp in each band, in W/m² of the lamp's own unit.
+        light: (n_shapes,) the whole lamp in each of `ExcitationData.shapes`, in W/m² of the lamp's own unit.
     """
 
     kr_per_s: Array
@@ -58,8 +58,10 @@ class ExcitationData:
         steps: of the n_frames frames.
         signal: (n_frames, n_places) linear signal a second, of the channel that `Charge.amplitude` refers to.
         sigma: (n_frames, n_places) standard deviation of its noise; infinite for a value that is left out.
-        light: (n_places, n_bands) what the filter lets through at each place, in the unit of `Charge.light`.
-        bands: the n_bands bands in which `ke` is taken to be constant.
+        light: (n_places, n_shapes) what the filter lets through at each place, in the unit of `Charge.light`.
+        bands: in which the rates are wanted.
+        band_means: (n_bands, n_shapes) from the coefficients of the rate's shapes to its means in the bands; see
+            `fitting.light.Shapes`, which computes all three.
         response: (n_places,) g_s, relative to the region in which the decay was measured.
         repeatability: relative standard deviation of a whole frame (shutter, gain), shared by its places.
     """
@@ -69,17 +71,23 @@ class ExcitationData:
     sigma: Array
     light: Array
     bands: Bands
+    band_means: Array
     response: Array
     repeatability: float = 0.0
 
     def __post_init__(self) -> None:
         shape = (len(self.steps.duration_s), len(self.light))
         good = self.signal.shape == self.sigma.shape == shape and self.response.shape == shape[1:]
-        if not good or self.light.shape[1] != self.bands.n:
+        if not good or self.band_means.shape != (self.bands.n, self.n_shapes):
             raise ValueError("frames, places and bands of an excitation series do not fit together")
         used = np.isfinite(self.sigma)
         if not np.isfinite(self.signal[used]).all() or not (self.sigma > 0).all():
             raise ValueError("signal must be finite and sigma positive wherever a value is used")
+
+    @property
+    def n_shapes(self) -> int:
+        """How many coefficients make a state's rate over wavelength."""
+        return self.light.shape[1]
 
     @property
     def n_values(self) -> int:
@@ -116,7 +124,7 @@ class Problem:
     @property
     def lower(self) -> Array:
         """(n_θ,) rates are not negative, logarithms are free."""
-        n = self.data.bands.n
+        n = self.data.n_shapes
         return np.concatenate([np.full(self.n_logs, -np.inf), np.zeros(n if self.common else self.n_c * n)])
 
     @property
@@ -132,8 +140,8 @@ class Problem:
         return total
 
     def ke(self, theta: Array) -> tuple[Array, Array]:
-        """Return (n_c, n_bands) ke and its derivatives (n_c, n_bands, n_θ)."""
-        n_c, n = self.n_c, self.data.bands.n
+        """Return (n_c, n_shapes) ke and its derivatives (n_c, n_shapes, n_θ)."""
+        n_c, n = self.n_c, self.data.n_shapes
         slope = np.zeros((n_c, n, theta.size))
         if not self.common:
             ke = theta[2 * n_c :].reshape(n_c, n)
@@ -179,7 +187,9 @@ class Problem:
 
     def residual(self, theta: Array) -> tuple[Array, Array]:
         """Return (m,) whitened residuals, model less data, and their Jacobian (m, n_θ)."""
-        model, slope = self.signal(theta)
+        # A state that no light excites has no gain. Where a search steps there, it finds no number and turns back.
+        with np.errstate(all="ignore"):
+            model, slope = self.signal(theta)
         data, n = self.data, theta.size
         used = np.isfinite(data.sigma)
         apart = data.whiten(np.where(used, model - data.signal, 0.0)).ravel()
@@ -207,7 +217,7 @@ class Problem:
         kr = self.charge.kr_per_s
         flat = saturation * kr / self.charge.light.sum()
         logs = np.concatenate([np.log(kr), np.log(self.charge.amplitude)])
-        n = self.data.bands.n
+        n = self.data.n_shapes
         if self.common:
             return np.concatenate([logs, np.log(flat[1:] / flat[0]), np.full(n, flat[0])])
         return np.concatenate([logs, np.repeat(flat, n)])

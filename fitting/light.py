@@ -1,44 +1,121 @@
-"""Which light comes to which place under a linear variable filter, band by band."""
+"""Which light comes to which place under a linear variable filter, and how rates over wavelength are written.
+
+An excitation rate over wavelength is a sum of shapes with coefficients of 0 or more: constant in each band, or straight
+lines between nodes, which follow a spectrum that changes within a band (by 25 nm, a place sees no more than a band's
+two thirds). What a place is excited by is linear in the coefficients, and so is the mean rate of a band.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.bands import Bands
+from phoslab.errors import PhoslabError
 
 Array = NDArray[np.float64]
 
+_CELL_NM = 0.25
+"""Integrals are sums over the middles of cells of at most this width, none of which holds a band's edge."""
 
-def band_light(nm: Array, irradiance: Array, bands: Bands, transmission: Array | None = None) -> Array:
-    """Return (n_places, n_bands) the light that passes in each band, in W/m²; (n_bands,) without a filter.
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Shapes that a rate over wavelength is made of.
 
     Args:
-        nm: (n_nm,) ascending wavelengths, fine enough that the spectra are straight lines between them.
-        irradiance: (n_nm,) the lamp before the filter, in W m⁻² nm⁻¹; 0 is taken beyond the ends of `nm`.
-        bands: in which to sum up.
-        transmission: (n_places, n_nm) of the filter at each place, 0..1.
-
-    >>> band_light(np.array([400.0, 700.0]), np.array([1.0, 1.0]), Bands.uniform(2)).tolist()
-    [150.0, 150.0]
+        bands: whose mean rates are asked for.
+        nodes_nm: (n_shapes,) where a shape of straight lines is 1, its neighbours being 0; None: one constant a band.
     """
-    passed = irradiance if transmission is None else transmission * irradiance
-    inside = bands.edges_nm[(bands.edges_nm > nm[0]) & (bands.edges_nm < nm[-1])]
-    knots = np.union1d(nm, inside)
-    at = np.searchsorted(nm, knots, side="right").clip(1, nm.size - 1)
-    share = (knots - nm[at - 1]) / (nm[at] - nm[at - 1])
-    fine = passed[..., at - 1] * (1 - share) + passed[..., at] * share
-    parts = (fine[..., :-1] + fine[..., 1:]) / 2 * np.diff(knots)
-    total = np.concatenate([np.zeros((*passed.shape[:-1], 1)), np.cumsum(parts, axis=-1)], axis=-1)
-    edges = np.searchsorted(knots, np.clip(bands.edges_nm, nm[0], nm[-1]))
-    sums: Array = np.diff(total[..., edges], axis=-1)
-    return sums
+
+    bands: Bands
+    nodes_nm: Array | None = None
+
+    @classmethod
+    def lines(cls, bands: Bands, cuts: int = 2) -> Shapes:
+        """Straight lines between the edges of bands cut into `cuts`, and on over a band more at either end.
+
+        Light outside the bands excites as well; what it does must not be laid to theirs.
+        """
+        edges = bands.edges_nm
+        whole = np.concatenate([[2 * edges[0] - edges[1]], edges, [2 * edges[-1] - edges[-2]]])
+        parts = np.linspace(whole[:-1], whole[1:], cuts, endpoint=False)
+        return cls(bands, np.append(parts.T.ravel(), whole[-1]))
+
+    @property
+    def n(self) -> int:
+        """Number of shapes."""
+        return self.bands.n if self.nodes_nm is None else self.nodes_nm.size
+
+    @cached_property
+    def _cells(self) -> tuple[Array, Array]:
+        """Middles and widths of cells from the first to the last wavelength."""
+        edges = self.bands.edges_nm
+        knots = edges if self.nodes_nm is None else np.union1d(edges, self.nodes_nm)
+        fine = [
+            np.linspace(low, high, max(2, int(np.ceil((high - low) / _CELL_NM)) + 1))
+            for low, high in zip(knots[:-1], knots[1:], strict=True)
+        ]
+        at = np.unique(np.concatenate(fine))
+        return (at[:-1] + at[1:]) / 2, np.diff(at)
+
+    @cached_property
+    def _values(self) -> Array:
+        """(n_shapes, n_cells)."""
+        middles, _ = self._cells
+        if self.nodes_nm is not None:
+            return np.stack([np.interp(middles, self.nodes_nm, row) for row in np.eye(self.n)])
+        return (self._band_of(middles) == np.arange(self.n)[:, None]).astype(np.float64)
+
+    def _band_of(self, nm: Array) -> NDArray[np.intp]:
+        return np.searchsorted(self.bands.edges_nm, nm) - 1
+
+    def light(self, nm: Array, irradiance: Array, transmission: Array | None = None) -> Array:
+        """Return (n_places, n_shapes) the light that each shape weighs, in W/m²; (n_shapes,) without a filter.
+
+        Args:
+            nm: (n_nm,) ascending; spectra are straight lines between them, and 0 beyond.
+            irradiance: (n_nm,) the lamp before the filter, in W m⁻² nm⁻¹.
+            transmission: (n_places, n_nm) of the filter at each place, 0..1.
+
+        >>> Shapes(Bands.uniform(2)).light(np.array([400.0, 700.0]), np.array([1.0, 1.0])).round(9).tolist()
+        [150.0, 150.0]
+        """
+        middles, widths = self._cells
+        lamp = np.interp(middles, nm, irradiance, left=0.0, right=0.0)
+        weighed = self._values * lamp * widths
+        if transmission is None:
+            return np.asarray(weighed.sum(axis=1))
+        passed = np.stack([np.interp(middles, nm, row, left=0.0, right=0.0) for row in transmission])
+        return np.asarray(passed @ weighed.T)
+
+    def band_means(self, nm: Array, irradiance: Array) -> Array:
+        """Return (n_bands, n_shapes): from coefficients to mean rates, weighted with the lamp's light in the band.
+
+        Raises:
+            PhoslabError: a band without light has no such mean.
+        """
+        middles, widths = self._cells
+        light = np.interp(middles, nm, irradiance, left=0.0, right=0.0) * widths
+        inside = self._band_of(middles) == np.arange(self.bands.n)[:, None]
+        whole = (inside * light).sum(axis=1)
+        if not (whole > 0).all():
+            dark = self.bands.label(int(np.argmin(whole)))
+            raise PhoslabError(
+                f"holds no light at {dark}",
+                field="the lamp's spectrum",
+                remedy="Measure it (phoslab measure lamp), or choose bands that it reaches.",
+            )
+        return np.asarray((inside * light) @ self._values.T / whole[:, None])
 
 
 def outside(nm: Array, irradiance: Array, bands: Bands, transmission: Array) -> Array:
     """Return (n_places,) the share of each place's light that lies outside the bands: its rates are not among theirs."""
-    everything = Bands(np.array([nm[0], nm[-1]]))
-    whole = band_light(nm, irradiance, everything, transmission)[:, 0]
-    inside = band_light(nm, irradiance, bands, transmission).sum(axis=1)
+    everything = Shapes(Bands(np.array([nm[0], nm[-1]])))
+    whole = everything.light(nm, irradiance, transmission)[:, 0]
+    inside = Shapes(bands).light(nm, irradiance, transmission).sum(axis=1)
     share: Array = 1 - np.divide(inside, whole, out=np.ones_like(whole), where=whole > 0)
     return share

@@ -27,7 +27,7 @@ from phoslab.fitting.charging import LampCourse, Steps, Table
 from phoslab.fitting.decay import DecayData, choose, fit_candidates
 from phoslab.fitting.excitation import ExcitationFit, fit_excitation
 from phoslab.fitting.excitation_model import Charge, ExcitationData
-from phoslab.fitting.light import band_light
+from phoslab.fitting.light import Shapes
 from phoslab.instruments.bench import lights, scene
 from phoslab.instruments.bench.courses import Bulb
 from phoslab.instruments.bench.lvf import Lvf
@@ -42,7 +42,7 @@ NM = np.arange(360.0, 781.0)
 POSITIONS_NM = np.linspace(400.0, 700.0, 31)
 REPEATABILITY = 0.005
 CUTS = 2
-"""Parts into which each of the eight bands is cut for the fit."""
+"""Parts into which nodes cut each of the eight bands."""
 
 
 
@@ -135,9 +135,9 @@ def fitted(folder: Path) -> tuple[ExcitationFit, ExcitationData, Charge]:
     frames = excitation.frames_of("excitation")
     shape = read_raw(frames[0].path).values.shape
     where = places(shape, lvf)
-    bands = wide_bands(CUTS)
+    shapes = Shapes.lines(Bands.uniform(), CUTS)
     transmission = np.stack([lvf.transmission(u, NM).mean(axis=0) for u in where.u])
-    light, full = band_light(NM, spectrum, bands, transmission), band_light(NM, spectrum, bands)
+    light, full = shapes.light(NM, spectrum, transmission), shapes.light(NM, spectrum)
 
     fading = decay.frames_of("decay")
     off_s = decay.lamp_off_s or 0.0
@@ -175,20 +175,15 @@ def fitted(folder: Path) -> tuple[ExcitationFit, ExcitationData, Charge]:
     sigma = np.where(information > 0, 1 / np.sqrt(np.maximum(information, 1e-300)), np.inf)
     on, since = lit(excitation, frames)
     steps = Steps.of(on, since, np.array([f.exposure_s for f in frames]), lamp)
-    measured = ExcitationData(steps, signal, sigma, light, bands, response, REPEATABILITY)
-    return fit_excitation(measured, charge, Bands.uniform()), measured, charge
-
-
-def wide_bands(n: int) -> Bands:
-    """The eight bands, each cut into `n`, and one more at either end for light that is not theirs."""
-    width = 37.5 / n
-    return Bands(np.concatenate([[362.5], np.linspace(400, 700, 8 * n + 1), [700 + 37.5]]))
+    means_of = shapes.band_means(NM, spectrum)
+    measured = ExcitationData(steps, signal, sigma, light, shapes.bands, means_of, response, REPEATABILITY)
+    return fit_excitation(measured, charge), measured, charge
 
 
 def truth(name: str) -> Array:
     """(8,) share of each band in what the whole lamp excites."""
     light = lights.halogen(3000.0)(NM)
-    part = band_light(NM, light * paint(name).excitation(NM), Bands.uniform())
+    part = Shapes(Bands.uniform()).light(NM, light * paint(name).excitation(NM))
     return np.asarray(part / part.sum())
 
 
@@ -206,7 +201,7 @@ def main() -> None:
         if not (where / name).exists():
             measure(name, where / name)
         fit, _, _ = fitted(where / name)
-        stored = fit.product.sum(axis=0) * band_light(NM, lights.halogen(3000.0)(NM), fit.bands)
+        stored = fit.product.sum(axis=0) * Shapes(fit.bands).light(NM, lights.halogen(3000.0)(NM))
         print(f"[[{name}]] kr {fit.kr_per_s} 1/s, {'one shape' if fit.common_shape else 'own shapes'}")
         print(f"  discrepancy {fit.discrepancy:.2f}, chi-square / dof {fit.chi2 / fit.dof:.2f}")
         print(f"  level, bright places      median {np.nanmedian(np.abs(fit.level_error)):.1%}, "
