@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 FADE_STEPS = 32
 """Steps of a fade that is given as a formula. Each has the mean light of its stretch, so that the error is of second
-order in its length h, k h² / 12 of full light times time: for a fade of 0.32 s and k = 1/s, 5e-5 of what the fade brings."""
+order in its length h, k h² / 12 of full light times time: for 0.32 s and k = 1/s, 5e-5 of what the fade brings."""
 
 # φ3 as a series for x <= 1: the first term that is left out is 1 / 20!, far below the last bit of the sum.
 _SERIES = [(-1) ** n / math.factorial(n + 3) for n in range(17)][::-1]

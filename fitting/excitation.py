@@ -1,4 +1,7 @@
-"""Excitation rates from an excitation series and a decay (Nalbach 2017, 8.4.6); `fitting.excitation_model` has the model."""
+"""Excitation rates from an excitation series and a decay (Nalbach 2017, 8.4.6).
+
+`fitting.excitation_model` has the model.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,7 @@ class ExcitationFit:
         residual: (n_frames, n_places) in standard deviations, whitened.
         chi2, dof: of excitation and decay together.
         discrepancy: 0 where the sample follows the model; else by which share of the way that a place's glow has still
-            to go the model misses it, beyond noise. The decay's values are then kept, and the end of the rise counts most.
+            to go the model misses it, beyond noise. The decay's values are then kept, and the rise's end counts most.
         level_error: (n_places,) model / measured - 1 after the longest exposure; NaN where there is too little glow.
         rise_s: (n_places, 2) light after which the glow is at half its end, measured and modelled; NaN likewise.
         covariance: of (log kr, log A, and the rates' parameters).
@@ -166,21 +169,27 @@ def _searched(problem: Problem, held: bool = False, near: Array | None = None) -
 def _with_discrepancy(problem: Problem) -> _Found:
     """Fit with σ² + τ² [(S_end - S)² + (S_bright / 100)²] for σ², and find τ.
 
-    S_end is a place's signal after its longest exposure, S_bright that of the brightest place. Until a place has reached
-    its end, a model that does not hold is off by some share of the way that is left. At the end it is off by much less,
-    but where light is faint by more than the noise: a hundredth of the brightest place counts like way that is left.
-    So the level at rest is met first, and the way there as well as it can be (Nalbach 2017, 8.4.6, fits "above all the
-    equilibrium level"). τ is what makes chi² as large as its degrees of freedom.
+    S_end is a place's signal after its longest exposure, S_bright that of the brightest place. Until a place has
+    reached its end, a model that does not hold is off by some share of the way that is left. At the end it is off by
+    much less, but where light is faint by more than the noise: a hundredth of the brightest place counts like way that
+    is left. So the level at rest is met first, and the way there as well as it can be (Nalbach 2017, 8.4.6, fits "above
+    all the equilibrium level"). τ is what makes chi² of the bright places as large as the number of their values.
+
+    What a frame repeats to counts for each value by itself here: a common error of one frame, of which there are few at
+    the end, would be a cheap way out.
     """
     data = problem.data
     fresh, end = problem.fresh, ends(data, problem.fresh)
     way = np.hypot(end * fresh[:, None] - data.signal, _FLOOR * fresh[:, None] * end.max())
+    noise = np.hypot(data.sigma, data.repeatability * data.signal)
+    bright = end > _BRIGHT * end.max()
     share, near = 0.3, None
     for _ in range(12):
-        rough = replace(problem, data=replace(data, sigma=np.hypot(data.sigma, share * way)))
+        rough = replace(problem, data=replace(data, sigma=np.hypot(noise, share * way), repeatability=0.0))
         found = replace(_searched(rough, held=True, near=near), discrepancy=share)
         near = found.search.theta
-        growth = np.sqrt(found.search.chi2 / max(found.dof, 1))
+        off = found.search.residual[: data.signal.size].reshape(data.signal.shape)[:, bright]
+        growth = np.sqrt((off**2).sum() / max(np.isfinite(data.sigma[:, bright]).sum(), 1))
         if abs(growth - 1) < 0.02:
             break
         share = float(np.clip(share * growth, 1e-3, 3.0))
@@ -227,13 +236,11 @@ def _check(data: ExcitationData, charge: Charge) -> None:
         )
 
 
-def _conclude(
-    best: _Found, data: ExcitationData, limits: bool
-) -> ExcitationFit:
+def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit:
     """Turn a minimum into rates with errors. `data` has the plain noise."""
     into = data.band_means
     problem, theta, n_c = best.problem, best.search.theta, best.problem.n_c
-    misfit = 1.0 if best.follows else best.search.chi2 / best.dof
+    misfit = 1.0 if best.follows else max(1.0, best.search.chi2 / best.dof)
     covariance = covariance_of(best.search.jacobian) * misfit
     fine, fine_by = problem.ke(theta)
     ke, ke_by = fine @ into.T, np.einsum("bj,ijp->ibp", into, fine_by)
@@ -279,7 +286,9 @@ def _conclude(
         chi2=best.search.chi2,
         dof=best.dof,
         discrepancy=best.discrepancy,
-        level_error=np.where(bright, np.divide(end_model, end, out=np.ones_like(end), where=bright) - 1, np.nan),
+        level_error=np.where(
+            bright, np.divide(end_model, end, out=np.ones_like(end), where=bright) - 1, np.nan
+        ),
         rise_s=np.where(bright[:, None], rise, np.nan),
         covariance=covariance,
     )

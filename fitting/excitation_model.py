@@ -5,10 +5,10 @@ light M_sj in shape j (lamp times transmission, W/m²), and so is excited by a_i
 
     S_fs = g_s Σ_i G_i <kr_i r_is>_f        G_i = A_i / q_i
 
-<kr r> is the mean over the exposure, through rise and fade of the lamp, delay and decay (`fitting.charging`); g_s is the
-paint's brightness there. G_i is Λ_i seen by the camera. The decay says how bright a state was, A_i, after the whole lamp
-had charged it to r_i(0): q_i = kr_i r_i(0) is computed by the same steps, with r(0) < 1. So decay and excitation share
-kr_i, A_i and ke_ij, and are fitted jointly: the decay enters by its own fit's values with their covariance.
+<kr r> is the mean over the exposure, through rise and fade of the lamp, delay and decay (`fitting.charging`); g_s is
+the paint's brightness there. G_i is Λ_i seen by the camera. The decay says how bright a state was, A_i, after the whole
+lamp had charged it to r_i(0): q_i = kr_i r_i(0) is computed by the same steps, with r(0) < 1. So decay and excitation
+share kr_i, A_i and ke_ij, and are fitted jointly: the decay enters by its own fit's values with their covariance.
 
 Where a state stays far from saturation (a << kr) in all of both, scaling its ke up and its Λ down changes nothing: only
 the product is determined, and is what is reported.
@@ -224,7 +224,7 @@ class Problem:
 
 
 def ends(data: ExcitationData, fresh: Array) -> Array:
-    """Return (n_places,) the signal after the longest exposure to the lamp, as a share of `fresh`; by its frames' noise.
+    """Return (n_places,) the signal after the longest exposure to the lamp, as a share of `fresh`.
 
     Args:
         fresh: (n_frames,) what delay and exposure time leave of any glow: frames differ in them.
@@ -241,6 +241,6 @@ def _fall(kr: Array, steps: Steps) -> tuple[Array, Array]:
     """Return (n_c,) e^(-kr d) φ1(kr τ) of the only frame of `steps`, from lamp-off on, and its derivative by kr."""
     delay, exposure = steps.delay_s[0], steps.exposure_s[0]
     x = kr * exposure
-    e, phi1, phi2, _ = phi(x)
+    _, phi1, phi2, _ = phi(x)
     fall = np.exp(-kr * delay)
     return fall * phi1, fall * (exposure * (phi2 - phi1) - delay * phi1)

@@ -17,26 +17,27 @@ def doubts(fit: ExcitationFit) -> tuple[str, ...]:
     ratio = fit.rise_ratio
     if fit.discrepancy:
         text = (
-            f"The sample does not follow the model: beyond noise, it is off by {fit.discrepancy:.0%} of the way that the glow "
-            "still has to go. The decay's rates and amplitudes were kept, and the level after the longest exposure counts most."
+            f"The sample does not follow the model: beyond noise, it is off by {fit.discrepancy:.0%} of the way that "
+            "the glow still has to go. The decay's rates and amplitudes were kept, and the level after the longest "
+            "exposure counts most."
         )
         found.append(text)
     if np.isfinite(ratio) and abs(ratio - 1) > _RISE:
         faster = "faster" if ratio < 1 else "slower"
         found.append(
-            f"The modelled glow rises {faster} than the measured one: it is at half its end after {ratio:.2f} of the time "
-            "(median of the bright places). A rendering that charges for less than saturation takes is off by that."
+            f"The modelled glow rises {faster} than the measured one: it is at half its end after {ratio:.2f} of the "
+            "time (median of the bright places). What is rendered is off by that until the sample is charged."
         )
     off = np.abs(fit.level_error)
     if np.isfinite(off).any() and np.nanmedian(off) > _LEVEL:
         found.append(
-            f"After the longest exposure the modelled glow is off by {np.nanmedian(off):.1%} (median of the bright places, "
-            f"worst {np.nanmax(off):.1%})."
+            f"After the longest exposure the modelled glow is off by {np.nanmedian(off):.1%} (median of the bright "
+            f"places, worst {np.nanmax(off):.1%})."
         )
     for i in np.flatnonzero(fit.product_only):
         found.append(
-            f"State {i} stays too far from saturation, or is too weak, to tell ke from Λ: only their product is determined. "
-            "If ke is larger by a factor, Λ is smaller by it."
+            f"State {i} stays too far from saturation, or is too weak, to tell ke from Λ: only their product is "
+            "determined. If ke is larger by a factor, Λ is smaller by it."
         )
     return tuple(found)
 
@@ -50,24 +51,31 @@ def report(fit: ExcitationFit) -> str:
     ]
     if np.isfinite(fit.level_error).any():
         off = np.abs(fit.level_error)
-        lines.append(f"  level reached           missed by {np.nanmedian(off):.1%} (median), {np.nanmax(off):.1%} (worst)")
+        lines.append(
+            f"  level reached           missed by {np.nanmedian(off):.1%} (median), {np.nanmax(off):.1%} (worst)"
+        )
     if np.isfinite(fit.rise_ratio):
         measured = float(np.nanmedian(fit.rise_s[:, 0]))
-        lines.append(f"  time to half of it      {measured:.3g} s measured, {fit.rise_ratio:.2f} of that modelled")
+        lines.append(
+            f"  time to half of it      {measured:.3g} s measured, {fit.rise_ratio:.2f} of that modelled"
+        )
     for i in range(fit.n_states):
         only = ", only Λ ke is determined" if fit.product_only[i] else ""
         lines += [
             f"[[state {i}{only}]]",
             f"  a under the lamp [1/s]  {fit.a_per_s[i]:.4g} ({_share(fit.scale_error[i])})",
             f"  r when the lamp went off  {fit.initial[i]:.3f}",
-            f"  correlation of log a    {fit.correlation[i, 0]:+.2f} with log Λ, {fit.correlation[i, 1]:+.2f} with log r(0)",
+            f"  correlation of log a    {fit.correlation[i, 0]:+.2f} with log Λ, "
+            f"{fit.correlation[i, 1]:+.2f} with log r(0)",
         ]
         for j in range(fit.bands.n):
             name = f"  ke {fit.bands.label(j)}".ljust(26)
             ke, product = fit.ke_m2_per_J[i, j], fit.product[i, j]
             if ke > 0:
                 error = fit.product_standard_error[i, j] / product
-                lines.append(f"{name}{ke:.4g} m²/J ({_share(fit.ke_standard_error[i, j] / ke)}; Λ ke {_share(error)})")
+                lines.append(
+                    f"{name}{ke:.4g} m²/J ({_share(fit.ke_standard_error[i, j] / ke)}; Λ ke {_share(error)})"
+                )
             elif np.isfinite(fit.ke_upper_limit[i, j]):
                 lines.append(f"{name}below {fit.ke_upper_limit[i, j]:.2g} m²/J (95 %)")
             else:

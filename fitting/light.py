@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,7 @@ class Shapes:
         knots = edges if self.nodes_nm is None else np.union1d(edges, self.nodes_nm)
         fine = [
             np.linspace(low, high, max(2, int(np.ceil((high - low) / _CELL_NM)) + 1))
-            for low, high in zip(knots[:-1], knots[1:], strict=True)
+            for low, high in pairwise(knots)
         ]
         at = np.unique(np.concatenate(fine))
         return (at[:-1] + at[1:]) / 2, np.diff(at)
@@ -113,7 +114,7 @@ class Shapes:
 
 
 def outside(nm: Array, irradiance: Array, bands: Bands, transmission: Array) -> Array:
-    """Return (n_places,) the share of each place's light that lies outside the bands: its rates are not among theirs."""
+    """Return (n_places,) the share of each place's light that lies outside the bands."""
     everything = Shapes(Bands(np.array([nm[0], nm[-1]])))
     whole = everything.light(nm, irradiance, transmission)[:, 0]
     inside = Shapes(bands).light(nm, irradiance, transmission).sum(axis=1)

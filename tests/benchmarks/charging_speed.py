@@ -59,7 +59,9 @@ def main() -> None:
         times["general"].append(time.perf_counter() - middle)
     t_exact, t_general = median(times["exact"]), median(times["general"])
     print(f"{n} places, {steps.duration_s.shape[0]} frames of {steps.duration_s.shape[1]} steps")
-    print(f"exact, with derivatives {1e3 * t_exact:.3g} ms, DOP853 {1e3 * t_general:.4g} ms: {t_general / t_exact:.0f}x")
+    print(
+        f"exact, with derivatives {1e3 * t_exact:.3g} ms, DOP853 {1e3 * t_general:.4g} ms: {t_general / t_exact:.0f}x"
+    )
     print(f"curves differ by at most {np.abs(exact / reference - 1).max():.1e}")
 
 

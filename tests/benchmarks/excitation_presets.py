@@ -6,8 +6,8 @@ DIR is to hold, for each preset, what `phoslab measure all --only decay,excitati
 leaves; what is not there is measured first (two minutes each). Where the filter lies, what it lets through and the
 lamp's light are taken as known; the paint is not: it holds traps of many depths, and does not obey the model.
 
-The truth of a band's excitation, up to one factor a paint: the electrons that the lamp's light in it sets free in a second.
-The factor is not comparable, since a trap distribution has no r; so the table compares shares of the whole. Beside
+The truth of a band's excitation, up to a factor for each paint: the electrons that the lamp's light in it sets free
+in a second. The factor is not comparable, since a trap distribution has no r; so the table compares shares of the whole. Beside
 them: how well the glow's level after the longest exposure is met, how the modelled rise compares with the measured
 one, and how saturation (the scale of ke) is correlated with Λ and r(0).
 """
@@ -43,7 +43,6 @@ POSITIONS_NM = np.linspace(400.0, 700.0, 31)
 REPEATABILITY = 0.005
 CUTS = 2
 """Parts into which nodes cut each of the eight bands."""
-
 
 
 def lamp_course(bulb: Bulb) -> LampCourse:
@@ -204,17 +203,25 @@ def main() -> None:
         stored = fit.product.sum(axis=0) * Shapes(fit.bands).light(NM, lights.halogen(3000.0)(NM))
         print(f"[[{name}]] kr {fit.kr_per_s} 1/s, {'one shape' if fit.common_shape else 'own shapes'}")
         print(f"  discrepancy {fit.discrepancy:.2f}, chi-square / dof {fit.chi2 / fit.dof:.2f}")
-        print(f"  level, bright places      median {np.nanmedian(np.abs(fit.level_error)):.1%}, "
-              f"worst {np.nanmax(np.abs(fit.level_error)):.1%}")
+        print(
+            f"  level, bright places      median {np.nanmedian(np.abs(fit.level_error)):.1%}, "
+            f"worst {np.nanmax(np.abs(fit.level_error)):.1%}"
+        )
         ratio = fit.rise_s[:, 1] / fit.rise_s[:, 0]
-        print(f"  half rise, model/measured {np.nanmedian(ratio):.2f} ({np.nanmedian(fit.rise_s[:, 0]):.1f} s measured)")
+        print(
+            f"  half rise, model/measured {np.nanmedian(ratio):.2f} ({np.nanmedian(fit.rise_s[:, 0]):.1f} s measured)"
+        )
         for i in range(fit.n_states):
             known = "only Λ ke" if fit.product_only[i] else "ke"
-            print(f"  state {i}: {known}; a {fit.a_per_s[i]:.3g} 1/s, r(0) {fit.initial[i]:.2f}, error of log a "
-                  f"{fit.scale_error[i]:.2f}, correlation of log a with log Λ {fit.correlation[i, 0]:.2f}, "
-                  f"with log r(0) {fit.correlation[i, 1]:.2f}")
+            print(
+                f"  state {i}: {known}; a {fit.a_per_s[i]:.3g} 1/s, r(0) {fit.initial[i]:.2f}, error of log a "
+                f"{fit.scale_error[i]:.2f}, correlation of log a with log Λ {fit.correlation[i, 0]:.2f}, "
+                f"with log r(0) {fit.correlation[i, 1]:.2f}"
+            )
             print(f"    ke [1e-3]    {1e3 * fit.ke_m2_per_J[i]}")
-            print(f"    relative se of Λ ke {fit.product_standard_error[i] / np.maximum(fit.product[i], 1e-300)}")
+            print(
+                f"    relative se of Λ ke {fit.product_standard_error[i] / np.maximum(fit.product[i], 1e-300)}"
+            )
             print(f"    upper limit  {1e3 * fit.ke_upper_limit[i]}")
         print(f"  share of excitation by band {stored / stored.sum()}")
         print(f"  truth                       {truth(name)}")

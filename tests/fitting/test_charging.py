@@ -35,7 +35,9 @@ def series() -> Steps:
 def integrated(a: np.ndarray, kr: np.ndarray, steps: Steps, frame: int) -> np.ndarray:
     """(n_places, n_c) mean of kr r over a frame's exposure, by DOP853 from step to step."""
     y = np.zeros(2 * a.size)
-    for dt, level, is_open in zip(steps.duration_s[frame], steps.level[frame], steps.open[frame], strict=True):
+    for dt, level, is_open in zip(
+        steps.duration_s[frame], steps.level[frame], steps.open[frame], strict=True
+    ):
         if dt == 0:
             continue
 

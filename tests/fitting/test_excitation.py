@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def watched(a: np.ndarray, kr: np.ndarray, times: tuple[float, float, float], la
     y = np.zeros(2 * a.size)
     # Cut where the light has a kink, or the solver would step over it.
     stops = [0.0, min(1.0, lit), lit, lit + FADE_S, lit + delay, lit + delay + exposure]
-    for begin, end in zip(stops[:-1], stops[1:], strict=True):
+    for begin, end in pairwise(stops):
         if end > begin:
             open_from = begin + (end - begin) * 1e-12
             y = solve_ivp(slope, (open_from, end), y, method="LSODA", rtol=1e-9, atol=1e-13).y[:, -1]
@@ -117,7 +118,7 @@ def made(ke_nm, saturation: float, *, seed: int = 1, shapes: Shapes | None = Non
         np.ones(POSITIONS_NM.size),
     )
     edges = Bands.uniform().edges_nm
-    cells = [(low < CELLS_NM) & (high > CELLS_NM) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    cells = [(low < CELLS_NM) & (high > CELLS_NM) for low, high in pairwise(edges)]
     by_band = np.stack([fine[:, c] @ lamp(CELLS_NM[c]) / lamp(CELLS_NM[c]).sum() for c in cells], axis=1)
     return Truth(data, charge, by_band, a, at_off / kr)
 
@@ -309,5 +310,5 @@ def test_light_outside_the_bands_is_noticed():
 
 
 def test_a_band_without_light_is_refused():
-    with pytest.raises(PhoslabError, match="no light at 400-437.5 nm"):
+    with pytest.raises(PhoslabError, match="no light at 400-437"):
         Shapes(Bands.uniform()).band_means(np.array([450.0, 700.0]), np.array([1.0, 1.0]))
