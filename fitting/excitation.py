@@ -24,7 +24,7 @@ _STARTS = (0.1, 1.0, 10.0)
 # A state whose saturation is known no better than this (standard error of log a) has only Λ ke.
 _LOOSE = 0.3
 # By this share of the brightest place's glow a model that does not hold may be off where nothing changes any more.
-_FLOOR = 0.01
+_FLOOR = 0.003
 # Chance of chi² beyond which the model, not the noise, is what misses the data.
 _CHANCE = 1e-3
 # A Gaussian estimate of 0 lies above this many standard errors in 5 % of cases: the limit of detection.
@@ -167,11 +167,11 @@ def _searched(problem: Problem, held: bool = False, near: Array | None = None) -
 
 
 def _with_discrepancy(problem: Problem) -> _Found:
-    """Fit with σ² + τ² [(S_end - S)² + (S_bright / 100)²] for σ², and find τ.
+    """Fit with σ² + τ² [(S_end - S)² + (0.003 S_bright)²] for σ², and find τ.
 
     S_end is a place's signal after its longest exposure, S_bright that of the brightest place. Until a place has
     reached its end, a model that does not hold is off by some share of the way that is left. At the end it is off by
-    much less, but where light is faint by more than the noise: a hundredth of the brightest place counts like way that
+    much less, but where light is faint by more than the noise: three thousandths of the brightest place count like way that
     is left. So the level at rest is met first, and the way there as well as it can be (Nalbach 2017, 8.4.6, fits "above
     all the equilibrium level"). τ is what makes chi² of the bright places as large as the number of their values.
 

@@ -7,9 +7,9 @@ leaves; what is not there is measured first (two minutes each). Where the filter
 lamp's light are taken as known; the paint is not: it holds traps of many depths, and does not obey the model.
 
 The truth of a band's excitation, up to a factor for each paint: the electrons that the lamp's light in it sets free
-in a second. The factor is not comparable, since a trap distribution has no r; so the table compares shares of the whole. Beside
-them: how well the glow's level after the longest exposure is met, how the modelled rise compares with the measured
-one, and how saturation (the scale of ke) is correlated with Λ and r(0).
+in a second. The factor is not comparable, since a trap distribution has no r; so the table compares shares of the
+whole. Beside them: how well the glow's level after the longest exposure is met, how the modelled rise compares with
+the measured one, and how saturation (the scale of ke) is correlated with Λ and r(0).
 """
 
 from __future__ import annotations
