@@ -92,7 +92,8 @@ class DeviceClock:
         near, far = np.meshgrid(np.arange(len(at)), np.arange(len(at)), indexing="ij")
         near, far = near[near != far], far[near != far]
         if near.size:
-            share = step[near] / (at[near] - at[far])  # of the stretch between them: beyond the near one if >= 0
+            # Of the stretch between them: beyond the near one if it is positive.
+            share = step[near] / (at[near] - at[far])
             beyond = share >= 0
             between = (share < 0) & (share > -1)
             lowest = max(lowest, _largest(low, low, high, near, far, share, between, beyond))

@@ -30,7 +30,7 @@ class DeviceGoneError(DeviceError):
 
 
 class AlarmError(DeviceError):
-    """Something is dangerous, or not to be mended from here (a lamp that shines although it is off): stop everything."""
+    """Something is dangerous (a lamp that shines although it is off), or not to be mended from here: stop all."""
 
 
 class DeviceTimeoutError(DeviceError):
@@ -133,7 +133,7 @@ class Exposure:
 
 @runtime_checkable
 class Device(Protocol):
-    """What every device can do."""
+    """What every device can do. What goes wrong between calls is raised by the next ones, until it is staged again."""
 
     @property
     def name(self) -> str:
@@ -169,7 +169,8 @@ class Lamp(Device, Protocol):
     def allow_until(self, mono_s: float) -> None:
         """Promise to be back by then: the lamp is kept on until that moment and no longer.
 
-        A plan renews it step by step; one that hangs lets it pass, and the lamp goes out.
+        A plan renews it step by step; one that hangs lets it pass, and the lamp goes out. So promise some seconds
+        more than the step takes. Without any, switching on promises 10 s.
         """
 
 

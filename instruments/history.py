@@ -63,7 +63,7 @@ class History:
             PhoslabError: the session was recorded by a plan that took other steps.
         """
         try:
-            reply = self.done[part].get(number)
+            reply: Any = self.done[part].get(number)
             match step:
                 case Cold():
                     return bool(reply["cold"])

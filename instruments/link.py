@@ -19,6 +19,8 @@ from phoslab.instruments.devices import DeviceError, DeviceGoneError, DeviceTime
 TRY_S = 0.4
 """How long to wait before a request is repeated: a reply takes 20 ms, a USB adapter 16 more, a busy computer longer."""
 TRIES = 5
+RELEASE_S = 1.5
+"""How long to wait for a port in use: the guardian of a host that was killed holds it while it switches off."""
 
 
 @dataclass(frozen=True)
@@ -39,26 +41,31 @@ def open_port(port: str, baud: int, *, device: str) -> serial.Serial:
         device: its name, for messages.
 
     Raises:
-        PhoslabError: there is no such port.
-        DeviceGoneError: it cannot be opened; the message names the process that holds it, if that can be found out.
+        DeviceGoneError: it is not there, or cannot be opened; the message names the process that holds it, if that
+            can be found out.
     """
     path = ports.resolve(port, field=device)
-    try:
-        opened = serial.Serial(path, baud, timeout=0.1, write_timeout=1.0, exclusive=True)
-        # The lock stops those who ask; this stops everybody (but root).
-        fcntl.ioctl(opened.fileno(), termios.TIOCEXCL)
-    except (OSError, termios.error) as error:
-        holder = ports.holder(path)
-        if holder or "exclusively lock" in str(error) or "busy" in str(error):
+    until = time.monotonic() + RELEASE_S
+    while True:
+        try:
+            opened = serial.Serial(path, baud, timeout=0.1, write_timeout=1.0, exclusive=True)
+            # The lock stops those who ask; this stops everybody (but root).
+            fcntl.ioctl(opened.fileno(), termios.TIOCEXCL)
+            return opened
+        except (OSError, termios.error) as error:
+            taken = "exclusively lock" in str(error) or "busy" in str(error)
+            if taken and time.monotonic() < until:
+                time.sleep(0.05)
+                continue
+            if taken:
+                raise DeviceGoneError(
+                    f"at {path} is in use by {ports.holder(path) or 'another process'}",
+                    field=device,
+                    remedy="End that, or wait until it is done.",
+                ) from error
             raise DeviceGoneError(
-                f"at {path} is in use by {holder or 'another process'}",
-                field=device,
-                remedy="End that, or wait until it is done.",
+                f"at {path} cannot be opened ({error})", field=device, remedy="Check its power and cable."
             ) from error
-        raise DeviceGoneError(
-            f"at {path} cannot be opened ({error})", field=device, remedy="Check its power and cable."
-        ) from error
-    return opened
 
 
 class Link:
@@ -78,7 +85,7 @@ class Link:
         port: str,
         mono_s: Callable[[], float],
         on_event: Callable[[wire.Event], None],
-        on_gone: Callable[[DeviceGoneError], None],
+        on_gone: Callable[[DeviceError], None],
     ) -> None:
         self._device, self._port, self._mono_s = device, port, mono_s
         self._on_event, self._on_gone = on_event, on_gone

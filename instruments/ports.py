@@ -13,7 +13,7 @@ from pathlib import Path
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from phoslab.errors import PhoslabError
+from phoslab.instruments.devices import DeviceError, DeviceGoneError
 
 _USB = re.compile(r"usb:([0-9a-fA-F]{4}):([0-9a-fA-F]{4})(?::(.+))?")
 
@@ -26,8 +26,8 @@ def resolve(port: str, *, field: str = "port") -> str:
         field: what to call it in an error.
 
     Raises:
-        PhoslabError: it is not there, there are several, or it is nothing that could be a serial port; the remedy
-            lists what is there.
+        DeviceGoneError: it is not there; the remedy lists what is.
+        DeviceError: there are several, it is not yours to open, or nothing that could be a serial port.
     """
     usb = _USB.fullmatch(port)
     if usb is not None:
@@ -39,27 +39,27 @@ def resolve(port: str, *, field: str = "port") -> str:
         ]
         if len(fitting) > 1:
             numbers = ", ".join(f"{port}:{found.serial_number}" for found in fitting)
-            raise PhoslabError(
+            raise DeviceError(
                 f"names {len(fitting)} adapters of the same kind ({port})",
                 remedy=f"Add the serial number of the one that you mean: {numbers}.",
                 field=field,
             )
         if not fitting:
-            raise PhoslabError(f"is not there ({port})", remedy=_what_there_is(), field=field)
+            raise DeviceGoneError(f"is not there ({port})", remedy=_what_there_is(), field=field)
         return str(fitting[0].device)
     if port.startswith("usb:") or not port.startswith("/"):
-        raise PhoslabError(
+        raise DeviceError(
             f"is {port!r}, which is neither a path nor usb:VID:PID[:SERIAL]",
             remedy=_what_there_is(),
             field=field,
         )
     path = Path(port)
     if not path.exists():
-        raise PhoslabError(f"is not there ({port})", remedy=_what_there_is(), field=field)
+        raise DeviceGoneError(f"is not there ({port})", remedy=_what_there_is(), field=field)
     if not path.is_char_device():
-        raise PhoslabError(f"is no serial port ({port})", remedy=_what_there_is(), field=field)
+        raise DeviceError(f"is no serial port ({port})", remedy=_what_there_is(), field=field)
     if not os.access(path, os.R_OK | os.W_OK):
-        raise PhoslabError(
+        raise DeviceError(
             f"is not yours to open ({port})",
             remedy='Type: sudo usermod -aG dialout "$USER", then log in again.',
             field=field,

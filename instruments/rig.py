@@ -1,7 +1,7 @@
 """rig.toml: what stands in the dark room, read, checked, and made into devices.
 
-A driver is one line in `DRIVERS` and a function that makes it from its table; its module is loaded when a rig file names
-it. docs/formats-rig.md describes the file.
+A driver is one line in `DRIVERS` and a function that makes it from its table; its module is loaded when a rig file
+names it. docs/formats-rig.md describes the file.
 """
 
 from __future__ import annotations
@@ -274,6 +274,31 @@ def _relay_lamp(making: Making, table: Mapping[str, Any]) -> Lamp:
         table["driver"],
         accept_no_failsafe=bool(table.get("accept_no_failsafe", False)),
         clock=making.clock,
+    )
+
+
+def _told(making: Making) -> dict[str, Any]:
+    """What the rig file says of the camera itself."""
+    camera = making.rig.data["camera"]
+    return {name: camera[name] for name in ("make", "model", "sensitivities") if name in camera}
+
+
+def _gphoto2_camera(making: Making, table: Mapping[str, Any]) -> Camera:
+    from phoslab.instruments.cameras.gphoto2 import GphotoCamera
+
+    return GphotoCamera(making.clock, port=table.get("port"), sensitivities=table.get("sensitivities"))
+
+
+def _drop_folder_camera(making: Making, table: Mapping[str, Any]) -> Camera:
+    from phoslab.instruments.cameras.drop_folder import DropFolder
+
+    return DropFolder(
+        Path(_needed(making, "camera", "folder")),
+        making.clock,
+        command=table.get("command", ()),
+        choices=making.rig.choices,
+        facts=_told(making),
+        patience_s=float(table.get("patience_s", 60.0)),
     )
 
 

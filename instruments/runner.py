@@ -66,6 +66,9 @@ LAMP_S, DOOR_S, CAMERA_S = 10.0, 15.0, 60.0
 SLICE_S = 0.25
 """How often a wait asks whether it shall end, in s of the real clock."""
 
+LOOK_S = 5.0
+"""How often a long wait looks at the lamp, in s of the real clock."""
+
 LOST_IN_A_ROW = 5
 """So many lost frames in a row are no accident."""
 
@@ -141,11 +144,13 @@ class Runner:
     def __init__(self, lab: Laboratory, recorder: Recorder, history: History | None = None) -> None:
         self.lab, self.recorder, self.history = lab, recorder, history or History()
         self._exposure: Exposure | None = None
-        self._dark_since_s = recorder.mono_s()  # nobody knows what shone on the sample before
+        self._began_s = recorder.mono_s()
+        self._dark_since_s = self._began_s  # nobody knows what shone on the sample before
         self._lamp_on = False
         self._edges: dict[str, str] = {}
         self._lag_s = 0.0
         self._lost = 0
+        self._looked = time.monotonic()
 
     def run(self, plan: Callable[[], Plan]) -> None:
         """Run to the end; a part whose devices fail is begun again.
@@ -247,7 +252,7 @@ class Runner:
         if not todo:
             return
         if self._lamp_on:  # no hand and no eye near it while it is on
-            self._switch("off", self.recorder.mono_s())
+            self._switch("off")
         arguments = {**asdict(wanted), "instructions": todo, "step": number}
         command = self.recorder.command("hand", "place", arguments)
         lab.watcher.doing("waiting for a hand")
@@ -269,12 +274,38 @@ class Runner:
         return cold
 
     def _lamp(self, to: str, number: int) -> float:
-        command = self.recorder.command("lamp", "set", {"to": to, "step": number})
-        at_s = self._answered(command, lambda: self._switch(to, self.recorder.mono_s()))
-        self._acknowledge(command, number, {"at_mono_s": round(at_s, 6)})
-        return at_s
+        return self._move(self.lab.lamp, "lamp", to, number, lambda: self._switch(to))
 
-    def _switch(self, to: str, now_s: float) -> float:
+    def _door(self, to: str, number: int) -> float:
+        return self._move(self.lab.door, "door", to, number, lambda: self._swing(to))
+
+    def _move(
+        self, device: LampDevice | DoorDevice, kind: str, to: str, number: int, act: Callable[[], float]
+    ) -> float:
+        """Command lamp or door and return when it changed.
+
+        In the dark a failure is mended on the spot, if it can be, and the command given again: what went before need
+        not be done anew because a cable was out. What fails twice in a row there is for a person to look at.
+        """
+        for first in (True, False):
+            command = self.recorder.command(kind, "set", {"to": to, "step": number})
+            try:
+                at_s: float = self._answered(command, act)
+            except AlarmError:
+                raise
+            except DeviceError as error:
+                if self._lamp_on or to == "on":
+                    raise
+                if not first:
+                    raise AlarmError(error.problem, remedy=error.remedy, field=error.field) from error
+                self.lab.watcher.trouble(str(error))
+                self._return_of(device)
+                continue
+            self._acknowledge(command, number, {"at_mono_s": round(at_s, 6)})
+            return at_s
+        raise AssertionError("unreachable")
+
+    def _switch(self, to: str) -> float:
         lab = self.lab
         on = to == "on"
         if on:
@@ -294,30 +325,25 @@ class Runner:
         self._lamp_on = on
         return at_s
 
-    def _door(self, to: str, number: int) -> float:
+    def _swing(self, to: str) -> float:
         lab = self.lab
-        command = self.recorder.command("door", "set", {"to": to, "step": number})
-
-        def move() -> float:
-            self._allow(DOOR_S)
-            self._until_done(lab.door.set("open" if to == "open" else "closed"), DOOR_S)
-            reading = lab.door.read()[lab.door.name]
-            if reading["value"] != to:
-                raise DeviceError(
-                    f"is {reading['value']} although it was told to be {to}",
-                    field=lab.door.name,
-                    remedy="Look what is in its way, and whether its end switches close.",
-                )
-            return self._edge("door", to, reading)
-
-        at_s = self._answered(command, move)
-        self._acknowledge(command, number, {"at_mono_s": round(at_s, 6)})
-        return at_s
+        self._allow(DOOR_S)
+        self._until_done(lab.door.set("open" if to == "open" else "closed"), DOOR_S)
+        reading = lab.door.read()[lab.door.name]
+        if reading["value"] != to:
+            raise DeviceError(
+                f"is {reading['value']} although it was told to be {to}",
+                field=lab.door.name,
+                remedy="Look what is in its way, and whether its end switches close.",
+            )
+        return self._edge("door", to, reading)
 
     def _edge(self, device: str, to: str, reading: Reading) -> float:
         """Record that lamp or door changed, once; return when."""
         # A controller's clock is mapped to ours to a millisecond or so: the moment may come out a little late.
         at_s = min(reading["mono_s"] + self.recorder.offset_s, self.recorder.mono_s())
+        # What was so before this run has no moment in the session: the clock may have been set in between.
+        at_s = max(at_s, self._began_s)
         if self._edges.get(device) != to:
             self.recorder.edge(device, to, at_mono_s=at_s, at_device_s=reading["device_s"])
             self._edges[device] = to
@@ -327,12 +353,6 @@ class Runner:
     # ---- frames
 
     def _shoot(self, step: Shoot, number: int) -> Shot:
-        if step.at_s is not None:
-            self._wait(step.at_s - self._lag_s, f"until the next frame ({step.role})")
-            late_s = self.recorder.mono_s() - step.at_s
-            if step.late_s is not None and late_s > max(step.late_s, 0.1):
-                self.recorder.note(f"a frame ({step.role}) is left out: its moment passed {late_s:.1f} s ago")
-                return lost(step)
         can_be_lost = step.late_s is not None
         for last in (False, True):
             try:
@@ -355,6 +375,7 @@ class Runner:
         raise AssertionError("unreachable")
 
     def _expose(self, step: Shoot, number: int) -> Shot:
+        """Have all ready beforehand, wait for the moment, take the frame."""
         lab, exposure = self.lab, step.exposure
         self._check_lamp()
         self._check_disk()
@@ -366,10 +387,19 @@ class Runner:
             self.recorder.ack(command, ok=True)
             self._exposure = exposure
         command = self.recorder.command("camera", "capture", {**asdict(exposure), "step": number})
+        if step.at_s is not None:
+            self._wait(step.at_s - self._lag_s, f"until the next frame ({step.role})")
+            late_s = self.recorder.mono_s() - step.at_s
+            if step.late_s is not None and late_s > max(step.late_s, 0.1):
+                reply = f"left out: its moment passed {late_s:.1f} s ago"
+                self.recorder.ack(command, ok=False, reply=reply)
+                lab.watcher.trouble(f"a frame ({step.role}) is {reply}")
+                return lost(step)
+        self._allow(exposure.exposure_s + CAMERA_S)
         lab.watcher.doing(
             f"exposing {exposure.exposure_s:g} s ({step.role})", lab.clock.mono_s() + exposure.exposure_s
         )
-        shot = self._answered(command, lambda: self._frame(step))
+        shot: Shot = self._answered(command, lambda: self._frame(step))
         self._acknowledge(command, number, reply_of(shot))
         lab.watcher.shot(step.role, shot)
         return shot
@@ -434,6 +464,8 @@ class Runner:
         lab, slice_s = self.lab, SLICE_S
         while (left_s := until_s - self.recorder.mono_s()) > 0:
             lab.interrupts.check()
+            if left_s > 2.0 and time.monotonic() - self._looked > LOOK_S:
+                self._check_lamp()  # a relay that sticks hours before the next frame must not wait for it
             step_s = min(left_s, slice_s)
             self._allow(step_s)
             before_s = time.monotonic()
@@ -457,12 +489,24 @@ class Runner:
             self.lab.lamp.allow_until(self.lab.clock.mono_s() + at_least_s + GRACE_S)
 
     def _check_lamp(self) -> None:
-        """The lamp must be what the plan thinks it is."""
+        """The lamp must be what the plan thinks it is; a lamp that is off may be out of reach for a while."""
         lamp = self.lab.lamp
-        now = lamp.read()[lamp.name]["value"]
+        self._looked = time.monotonic()
+        try:
+            now = lamp.read()[lamp.name]["value"]
+        except AlarmError:
+            raise
+        except DeviceError as error:
+            if self._lamp_on:
+                raise
+            # A frame needs the camera only, and a fading light does not wait.
+            self.lab.watcher.trouble(str(error))
+            with contextlib.suppress(PhoslabError):
+                lamp.stage()
+            return
         if (now == "on") != self._lamp_on:
-            error = AlarmError if now == "on" else DeviceError
-            raise error(
+            kind = AlarmError if now == "on" else DeviceError
+            raise kind(
                 f"is {now} although the plan has switched it {'on' if self._lamp_on else 'off'}",
                 field=lamp.name,
                 remedy="Pull its plug, then look for a stuck relay."
@@ -506,7 +550,7 @@ class Runner:
         """Stage a device again; wait for one that is gone.
 
         Raises:
-            DeviceError: it did not come back.
+            PhoslabError: it did not come back.
         """
         end_s = time.monotonic() + RETURN_S
         while True:
@@ -514,7 +558,9 @@ class Runner:
             try:
                 device.stage()
                 return
-            except DeviceError as error:
+            except AlarmError:
+                raise
+            except PhoslabError as error:  # not only a DeviceError: a port that is not there is none
                 if time.monotonic() > end_s:
                     raise
                 self.lab.watcher.trouble(f"waiting for the {device.name}: {error}")

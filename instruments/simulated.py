@@ -196,7 +196,7 @@ class Hands:
         *,
         target: str = "sample",
         lvf: str = "none",
-        filter: str = "none",
+        filter_name: str = "none",
         light: str = "lamp",
         angle_deg: float = 0.0,
     ) -> None:
@@ -206,7 +206,7 @@ class Hands:
             target: what lies under the camera: "sample" (the first piece), "sample 2" ..., "card", "checker",
                 "patch:NAME" (one colour of the checker, large), "nothing".
             lvf: "none", "camera" (before it), "sample" (on it).
-            filter: name of a colour filter between light and target (`lighting-filters` has them), or "none".
+            filter_name: of a colour filter between light and target (`lighting-filters` has them), or "none".
             light: "lamp" (the rig's, switched by the controller); "led" or "mercury", which are then on.
             angle_deg: by which the target is turned away from the camera.
 
@@ -214,7 +214,7 @@ class Hands:
             DeviceError: there is no such thing.
         """
         self._link.ask(
-            "place", target=target, lvf=lvf, filter=filter, light=light, angle_deg=float(angle_deg)
+            "place", target=target, lvf=lvf, filter=filter_name, light=light, angle_deg=float(angle_deg)
         )
 
     def filters(self) -> list[str]:

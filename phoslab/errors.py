@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 class PhoslabError(Exception):
@@ -28,12 +32,22 @@ class PhoslabError(Exception):
     ) -> None:
         self.problem = problem
         self.remedy = remedy
-        self.remedy = remedy
         self.file = None if file is None else str(file)
         self.field = field
         where = "" if file is None else f"{file}: "
         subject = "" if field is None else f"{field} "
         super().__init__(printable(f"{where}{subject}{problem}. {remedy}"))
+
+
+def look_up(registry: Mapping[str, T], name: str, field: str) -> T:
+    """Return what `registry` has under `name`.
+
+    Raises:
+        PhoslabError: nothing; the error names `field` and lists what there is.
+    """
+    if name not in registry:
+        raise PhoslabError(f"{name!r} is unknown", field=field, remedy=f"Use one of: {', '.join(registry)}.")
+    return registry[name]
 
 
 def printable(text: str) -> str:

@@ -182,7 +182,10 @@ def names(text: str) -> tuple[str, ...]:
 
 
 def _value(plan: str, about: dataclasses.Field[Any], value: Any, file: Any) -> Any:
-    kind = type(about.default)
+    default: object = about.default
+    kind: type[float] | type[int] | type[str] = (
+        str if isinstance(default, str) else int if isinstance(default, int) else float
+    )
     low, choices = about.metadata["low"], about.metadata["choices"]
     wanted = f"one of {', '.join(choices)}" if choices else "a text"
     if kind is not str:
@@ -192,7 +195,7 @@ def _value(plan: str, about: dataclasses.Field[Any], value: Any, file: Any) -> A
             raise ValueError
         # A list of one number is a number where it is typed.
         read = kind(f"{value:g}" if kind is str and isinstance(value, int | float) else value)
-        if kind is not str and (not math.isfinite(read) or read < low or read != float(value)):
+        if not isinstance(read, str) and (not math.isfinite(read) or read < low or read != float(value)):
             raise ValueError
         if choices and read not in choices:
             raise ValueError

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.errors import PhoslabError
+from phoslab.errors import PhoslabError, look_up
 
 Array = NDArray[np.float64]
 
@@ -188,8 +188,4 @@ def find(name: str) -> Step:
     Raises:
         PhoslabError: there is none of that name.
     """
-    if name not in SOLVERS:
-        raise PhoslabError(
-            f"{name!r} is unknown", field="solver", remedy=f"Use one of: {', '.join(SOLVERS)}."
-        )
-    return SOLVERS[name]
+    return look_up(SOLVERS, name, "solver")

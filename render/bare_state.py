@@ -86,9 +86,17 @@ class BareState:
     def advance_many(self, dt_s: float, n: int, light: Drive = STEADY) -> None:
         """Take `n` steps, each under the same light; otherwise as `advance`."""
         excitation, course, largest = self._excite(light)
-        check_step(self._solver_name, float((largest + self._kr).max()), dt_s, "a texel")
+        rate = float((largest + self._kr).max())
+        check_step(self._solver_name, rate, dt_s, "a texel")
         newest = self._step.run(
-            self._now, self._next, dt_s, excitation, course, atlas_uv=self._texel_uv, times=n
+            self._now,
+            self._next,
+            dt_s,
+            excitation,
+            course,
+            atlas_uv=self._texel_uv,
+            times=n,
+            largest_rate_per_s=rate,
         )
         if newest is not self._now:
             self._now, self._next = self._next, self._now

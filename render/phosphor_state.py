@@ -116,18 +116,27 @@ class PhosphorState:
         self._picture = StateTexture(device, atlas.size, material.n_states, "f32")
         self.shown = self._anchor
         self._largest = np.array([course.largest for course in schedule.alike])
-        # What a + kr of this phosphor, and of any, never exceeds: known once it is excited.
-        self.largest_rate_per_s = self.strictest_per_s = 0.0
+        self._largest_a: Array | None = None
+        # What a + kr of any phosphor never exceeds.
+        self.strictest_per_s = 0.0
 
     def excite(self) -> None:
         """Find the excitation of every texel under each course's lights. Once is enough while nothing moves."""
         for layer, names in enumerate(self._lights):
             self.light.run(self.atlas, dict.fromkeys(names, 1.0))
             self.excitation.run(self.atlas, self.light, layer)
-        if np.isfinite(self.step.solver.largest_step):
+        self._largest_a = None
+
+    @property
+    def largest_rate_per_s(self) -> float:
+        """What a + kr of this phosphor never exceeds; 0 where its solver bears any."""
+        return self._rate_under(self._largest) if np.isfinite(self.step.solver.largest_step) else 0.0
+
+    def _rate_under(self, factors: Array) -> float:
+        """Return the largest a + kr of any texel, in 1/s, under lights of such factors."""
+        if self._largest_a is None:  # it is read back from the GPU: once, and only where somebody asks
             self._largest_a = self.excitation.largest_rates()
-            a = float(self._largest @ self._largest_a[: len(self._largest)])
-            self.largest_rate_per_s = self.strictest_per_s = a + float(self.phosphor.optics.kr_per_s.max())
+        return float(factors @ self._largest_a[: len(factors)]) + float(self.phosphor.optics.kr_per_s.max())
 
     def reset(self) -> None:
         """Put the state at time 0 in place: empty, saturated, or the equilibrium under given lights."""
@@ -185,16 +194,25 @@ class PhosphorState:
     def _take(self, segment: Segment, begin_s: float, end_s: float, target: StateTexture) -> None:
         """Take one step from the anchor, if the solver bears it."""
         solver, drives, dt_s = self.step.solver, segment.drives(begin_s, end_s), end_s - begin_s
-        if np.isfinite(solver.largest_step):
-            strongest = [max(solver.light(drive)) for drive in drives]
-            a = float(strongest @ self._largest_a[: len(drives)])
-            largest = a + float(self.phosphor.optics.kr_per_s.max())
+        largest = np.inf
+        if np.isfinite(solver.largest_step) or not segment.constant:
+            largest = self._rate_under(np.array([max(solver.light(drive)) for drive in drives]))
             where = repr(self.drawable.drawable.name)
             check_step(self._stepping.solver, largest, dt_s, where, self.strictest_per_s)
-        self._run(self.step, target, dt_s, solver.course(drives))
+        self._run(self.step, target, dt_s, solver.course(drives), largest)
 
-    def _run(self, step: PhosphorStep, target: StateTexture, dt_s: float, course: Array) -> None:
-        step.run(self._anchor, target, dt_s, self.excitation.excitation, course, atlas_uv=self.atlas.uv)
+    def _run(
+        self, step: PhosphorStep, target: StateTexture, dt_s: float, course: Array, largest: float = np.inf
+    ) -> None:
+        step.run(
+            self._anchor,
+            target,
+            dt_s,
+            self.excitation.excitation,
+            course,
+            atlas_uv=self.atlas.uv,
+            largest_rate_per_s=largest,
+        )
 
     def debug_views(self) -> dict[str, Picture]:
         """The sum over the states, bright where full."""

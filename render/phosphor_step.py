@@ -56,6 +56,7 @@ class PhosphorStep:
         *,
         atlas_uv: moderngl.Texture | None = None,
         times: int = 1,
+        largest_rate_per_s: float = np.inf,
     ) -> StateTexture:
         """Write into `target` the state `dt_s` after `r`; return the one that holds the newest state.
 
@@ -67,8 +68,9 @@ class PhosphorStep:
             course: (n_layers, 3) each layer's factor over the step, as `Solver.course` gives it.
             atlas_uv: texture coordinates of the texels; needed where kr is a map.
             times: how many such steps to take, to and fro between the two (which then have one format).
+            largest_rate_per_s: what no texel's a + kr exceeds, where that is known: a short step then costs less.
         """
-        shader = self._program(r, target, course)
+        shader = self._program(r, target, course, largest_rate_per_s * dt_s if dt_s else 0.0)
         if self._is_dark(course):
             assert isinstance(self._kr, np.ndarray)
             stay, move = share_in_dark(self._kr, dt_s)
@@ -92,12 +94,14 @@ class PhosphorStep:
     def _is_dark(self, course: Array) -> bool:
         return self.needs_no_light_in_dark and not course.any()
 
-    def _program(self, r: StateTexture, target: StateTexture, course: Array) -> moderngl.ComputeShader:
+    def _program(
+        self, r: StateTexture, target: StateTexture, course: Array, largest_step: float
+    ) -> moderngl.ComputeShader:
         states = state_defines(r, target)
         if self._is_dark(course):
             return self._device.compute("phosphor_dark", states)
         defines: dict[str, int | str] = {
-            "SOLVER": self.solver.include,
+            "SOLVER": self.solver.include_for(largest_step),
             "EXPLICIT_LIMIT": f"{EXPLICIT_LIMIT:.1f}",
             "LIGHTS": len(course),
         }

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phoslab.errors import PhoslabError
+from phoslab.errors import PhoslabError, look_up
 from phoslab.solvers import EULER_LIMIT, EXPLICIT_LIMIT, Drive
 
 Array = NDArray[np.float64]
@@ -51,12 +51,18 @@ class Solver:
         light: what it takes of the light over a step: one value, or those at its start, middle and end.
         closed_form: whether it solves constant light exactly, so that one step may span any stretch of it.
         largest_step: the largest (a + kr) dt that it bears; inf where that is any.
+        short: the file for steps of (a + kr) dt up to `SHORT`, where there is one that costs less.
     """
 
     include: str
     light: Callable[[Drive], list[Array]]
     closed_form: bool = False
     largest_step: float = np.inf
+    short: str | None = None
+
+    def include_for(self, largest_step: float) -> str:
+        """Return the file for a step in which no texel's (a + kr) dt exceeds `largest_step`."""
+        return self.short if self.short and largest_step <= SHORT else self.include
 
     @property
     def basis(self) -> Array:
@@ -68,14 +74,17 @@ class Solver:
         return np.array([self.light(drive) for drive in drives]) @ self.basis
 
 
+# The largest (a + kr) dt of `Solver.short`. Its polynomial is as good a thousandth beyond: roundings do not matter.
+SHORT = 1 / 8
+
 # The default: the first where every light is constant between its jumps, the second where one is not.
 DEFAULT, DEFAULT_IN_VARYING_LIGHT = "exact", "exact2"
 
 SOLVERS: dict[str, Solver] = {
     "euler": Solver("solver_euler.glsl", at_start, largest_step=EULER_LIMIT),
     "substep": Solver("solver_substep.glsl", throughout, largest_step=EXPLICIT_LIMIT),
-    "exact": Solver("solver_exact.glsl", at_start, closed_form=True),
-    "exact2": Solver("solver_exact.glsl", at_mean, closed_form=True),
+    "exact": Solver("solver_exact.glsl", at_start, closed_form=True, short="solver_exact_short.glsl"),
+    "exact2": Solver("solver_exact.glsl", at_mean, closed_form=True, short="solver_exact_short.glsl"),
     "rk23": Solver("solver_rk23.glsl", throughout, largest_step=EXPLICIT_LIMIT),
 }
 
@@ -86,13 +95,7 @@ def find_solver(name: str) -> Solver:
     Raises:
         PhoslabError: there is none of that name.
     """
-    if name not in SOLVERS:
-        raise PhoslabError(
-            f"{name!r} is unknown to the renderer",
-            field="solver",
-            remedy=f"Use one of: {', '.join(SOLVERS)}.",
-        )
-    return SOLVERS[name]
+    return look_up(SOLVERS, name, "the renderer's solver")
 
 
 def check_step(

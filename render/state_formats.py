@@ -21,7 +21,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.errors import PhoslabError
+from phoslab.errors import look_up
 from phoslab.render.device import RENDERABLE, Defines, Device, read_texture, set_uniforms
 
 Array = NDArray[np.float64]
@@ -66,11 +66,7 @@ def find_format(name: str) -> StateFormat:
     Raises:
         PhoslabError: there is none of that name.
     """
-    if name not in FORMATS:
-        raise PhoslabError(
-            f"{name!r} is unknown", field="state format", remedy=f"Use one of: {', '.join(FORMATS)}."
-        )
-    return FORMATS[name]
+    return look_up(FORMATS, name, "state format")
 
 
 def image_format(n_states: int, kind: str = "32f") -> str:

@@ -11,8 +11,18 @@ DOCS = sorted((Path(__file__).parent.parent / "docs").glob("*.md"))
 
 
 PACKAGES = (
-    *("", ".app", ".fitting", ".instruments", ".instruments.bench", ".instruments.plans", ".presets", ".render"),
+    "",
+    ".app",
+    ".app.trades",
+    ".fitting",
+    ".instruments",
+    ".instruments.bench",
+    ".instruments.cameras",
+    ".instruments.plans",
+    ".presets",
+    ".render",
     ".schemas",
+    ".trades",
 )
 
 

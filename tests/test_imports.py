@@ -78,12 +78,17 @@ RENDER = {"numpy", "jsonschema", "rich", "moderngl", "pygltflib", "xatlas", *COL
 FIT = {"numpy", "scipy", "jsonschema", "rich", "cv2", "rawpy", *COLOUR}
 
 
+MEASURE = {"phoslab.instruments"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "dependencies", "parts"),
     [
         ("presets", {"numpy", "jsonschema"}, set()),
         ("presets --json", {"numpy", "jsonschema"}, set()),
         ("export green --to csv -o green.csv", {"numpy", "jsonschema"}, set()),
+        # Only to say how long it takes: no device, no decoder.
+        ("measure decay --simulate green --dry-run", {"numpy", "scipy", "jsonschema", "tomli_w"}, MEASURE),
         ("doctor", {"serial"}, set()),  # the drivers are tried in processes of their own
         ("fit SESSION --preset green -o m.json", FIT, {"phoslab.fitting"}),
         (

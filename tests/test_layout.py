@@ -167,7 +167,14 @@ def test_the_wheel_holds_every_source_file_and_nothing_else(wheel: Path) -> None
 
 @pytest.mark.parametrize(
     "example",
-    ["py.typed", "presets/green.json", "schemas/material-1.schema.json", "shaders/*.glsl", "sample_data/*/*"],
+    [
+        "py.typed",
+        "presets/green.json",
+        "schemas/material-1.schema.json",
+        "shaders/*.glsl",
+        "sample_data/*/*",
+        "instruments/firmware/*.c",
+    ],
 )
 def test_the_wheel_holds_data_of_every_kind(wheel: Path, example: str) -> None:
     held = zipfile.ZipFile(wheel).namelist()

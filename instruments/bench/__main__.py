@@ -20,7 +20,7 @@ from phoslab.instruments.bench.body import Body
 from phoslab.instruments.bench.camera import CANON
 from phoslab.instruments.bench.darkroom import Darkroom
 from phoslab.instruments.bench.faults import parse
-from phoslab.instruments.bench.laboratory import CONTROLLER, PORT_FILE, Laboratory
+from phoslab.instruments.bench.laboratory import Laboratory
 from phoslab.instruments.bench.paints import paint
 from phoslab.instruments.bench.rig import ENDPOINTS
 from phoslab.instruments.bench.server import Server
@@ -47,6 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the host; the bench sees to the lamp
     signal.signal(signal.SIGTERM, lambda *_: _end())
+    os.umask(0o077)  # socket and clock are for their owner
     folder: Path = options.folder
     laboratory = None
     try:
@@ -71,7 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
     finally:
         if laboratory is not None:
             laboratory.close()
-        for name in (ENDPOINTS, "socket", PORT_FILE, CONTROLLER):
+        for name in (ENDPOINTS, "socket", "port"):
             (folder / name).unlink(missing_ok=True)
     if options.temporary:
         shutil.rmtree(folder, ignore_errors=True)

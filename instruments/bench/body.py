@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
 from phoslab.instruments.bench.bench import STATEMENT
@@ -14,6 +15,7 @@ from phoslab.instruments.bench.darkroom import Darkroom
 from phoslab.instruments.bench.dng import dng
 from phoslab.instruments.bench.timekeeper import Timekeeper
 
+Array = NDArray[np.float64]
 
 # What the dial says, in third stops: from 2^-13 s to 2^5 s, from ISO 100 on, from f/2^1.5 on.
 _EXPOSURES = (
@@ -158,7 +160,7 @@ class Body:
         self._files: dict[int, bytes] = {}
         rng = np.random.default_rng([0xB0D7, self.room.camera.serial])
         # Third stops are what a camera means, whatever it writes on its dial, and it meets them only so well.
-        self._true = {
+        self.true: dict[str, dict[float, float]] = {
             "exposure_s": dict(
                 zip(_EXPOSURES, _off(2.0 ** (np.arange(-39, 16) / 3), 0.004, rng), strict=True)
             ),
@@ -212,13 +214,19 @@ class Body:
         self.late_s = 0.0
         exposure_s, iso, f_number = self.settings
         true = (
-            float(self._true["exposure_s"][exposure_s]),
-            float(self._true["iso"][iso]),
-            float(self._true["f_number"][f_number]),
+            float(self.true["exposure_s"][exposure_s]),
+            float(self.true["iso"][iso]),
+            float(self.true["f_number"][f_number]),
         )
         shot = Shot(self.exposures, self.keeper.now_s() + lag_s, self.settings, true)
         self.card[shot.number] = shot
         return shot
+
+    def abort(self) -> None:
+        """Close the shutter and throw the frame away."""
+        if self.last is not None and self.phase(self.last) != "ready":
+            self._told = self.exposures
+            self.card.pop(self.exposures)
 
     @property
     def about_to_open(self) -> bool:
@@ -294,5 +302,5 @@ class Body:
             raise CameraError("busy", "is busy with an exposure", "Wait for its end.")
 
 
-def _off(values: np.ndarray, by: float, rng: np.random.Generator) -> np.ndarray:
-    return np.asarray(values * np.exp(np.clip(rng.normal(0, by, values.size), -2 * by, 2 * by)))
+def _off(values: Array, by: float, rng: np.random.Generator) -> list[float]:
+    return list(values * np.exp(np.clip(rng.normal(0, by, values.size), -2 * by, 2 * by)))

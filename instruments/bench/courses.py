@@ -69,7 +69,7 @@ class LampCourse:
         """0 cold, 1 warm."""
         return self._towards(t_s, "warmth", self.bulb.warm_s)
 
-    def heating_C(self, t_s: float) -> float:
+    def warming(self, t_s: float) -> float:
         """By how much what lies under it is warmer than the room."""
         return self.bulb.heat_C * self._heat(t_s)
 

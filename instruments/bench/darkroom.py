@@ -7,15 +7,15 @@ So a command costs nothing, and everything is a function of the seed and of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.instruments.bench import lights, scene
 from phoslab.instruments.bench.camera import CANON, Camera
@@ -149,6 +149,11 @@ class Darkroom:
         """What lies where now."""
         return self._placed[-1].stage
 
+    @property
+    def strip(self) -> scene.Panel:
+        """Where the filter strip lies, or lay last."""
+        return self._placed[-1].strip
+
     def place(self, at_s: float, stage: Stage) -> None:
         """Let hands put things so, at a moment that is not before the last."""
         last = self._placed[-1]
@@ -177,13 +182,13 @@ class Darkroom:
         moments = {*self.lamp.changes(open_s, close_s), *self.door.changes(open_s, close_s)}
         moments |= {p.at_s for p in self._placed if open_s < p.at_s < close_s}
         stops = [open_s, *sorted(moments), close_s]
-        for begin, end in zip(stops[:-1], stops[1:], strict=True):
+        for begin, end in pairwise(stops):
             moving = self.door.share(begin) != self.door.share(end)
             changing = self._level(placed, begin) != self._level(placed, end)
             n = math.ceil((end - begin) / _SHUTTER_STEP_S) if moving else 1
             n = max(n, min(50, math.ceil((end - begin) / _SHUTTER_STEP_S))) if changing else n
             edges = np.linspace(begin, end, n + 1)
-            for a, b in zip(edges[:-1], edges[1:], strict=True):
+            for a, b in pairwise(edges):
                 share = self.door.share((a + b) / 2)
                 if share == 0.0:
                     continue
@@ -196,9 +201,19 @@ class Darkroom:
         shake = float(np.mean([self.door.shake_mm(t) for t in np.linspace(open_s, close_s, 65)]))
         return self._picture(placed, glow, reflected, shake)
 
-    def light(self, piece: int, at_s: float) -> Array:
-        """(places,) a piece's light at a moment that is past and not before the last exposure, for tests."""
-        return self._film(piece, at_s).light(self._temperature_C(at_s))
+    def afterglow(self, piece: int, times_s: Sequence[float]) -> list[float]:
+        """Return a piece's light at ascending moments that are past and dark, the mean of its places: the truth.
+
+        It is computed from the beginning, and leaves what frames will show as it is.
+        """
+        film, now = Film.dark(self.sample), self._first_seen(piece, times_s[0])
+        values = []
+        for at_s in times_s:
+            if at_s > now:
+                film, _ = self._let_pass(piece, film, now, at_s)
+                now = at_s
+            values.append(float(film.light(self._warmth(at_s)).mean()))
+        return values
 
     # --- samples ------------------------------------------------------------------------------
 
@@ -206,24 +221,27 @@ class Darkroom:
         """A piece at a moment not before the last that was asked for."""
         since_s, film = self._pieces.get(piece, (-math.inf, Film.dark(self.sample)))
         if since_s == -math.inf:
-            since_s = next((p.at_s for p in self._placed if p.stage.piece == piece), at_s)
-            since_s = max(since_s, self.born_s)
+            since_s = self._first_seen(piece, at_s)
         if at_s > since_s:
             film, _ = self._let_pass(piece, film, since_s, at_s)
             self._pieces[piece] = (at_s, film)
         return film
+
+    def _first_seen(self, piece: int, at_s: float) -> float:
+        """When it was first put there: until then it has been in the dark."""
+        return max(self.born_s, next((p.at_s for p in self._placed if p.stage.piece == piece), at_s))
 
     def _let_pass(self, piece: int, film: Film, begin_s: float, end_s: float) -> tuple[Film, Array]:
         moments = {*self.lamp.changes(begin_s, end_s)}
         moments |= {p.at_s for p in self._placed if begin_s < p.at_s < end_s}
         stops = [begin_s, *sorted(moments), end_s]
         total: Array = np.zeros(1)
-        for a, b in zip(stops[:-1], stops[1:], strict=True):
+        for a, b in pairwise(stops):
             placed = self._placed_at(a)
             drive = self._drive(placed, piece, a, b)
             if drive is not None and placed.stage.lvf == "sample":
                 film = film.spread(COLUMNS + 1)
-            film, light = film.advance(b - a, drive, lambda t, a=a: self._temperature_C(a + t))  # type: ignore[misc]
+            film, light = film.advance(b - a, drive, lambda t, a=a: self._warmth(a + t))  # type: ignore[misc]
             total = total + light
         return film, total
 
@@ -242,7 +260,7 @@ class Darkroom:
         """(1,) or (COLUMNS + 1,) excitation in 1/s by the full light."""
         key = (stage, 0)
         if key not in self._drives:
-            spectrum = self._light(stage) * self.sample.excitation(NM)
+            spectrum = self.light(stage) * self.sample.excitation(NM)
             if stage.lvf == "sample":
                 through = self.lvf.transmission(_U, NM) @ spectrum
                 spectrum_sum = np.append(through, 0.0)
@@ -252,8 +270,9 @@ class Darkroom:
             self._drives[key] = self.sample.excitation_per_s * spectrum_sum / 400.0
         return self._drives[key]
 
-    def _temperature_C(self, t_s: float) -> float:
-        return self.room.at(t_s) + self.lamp.heating_C(t_s)
+    def _warmth(self, t_s: float) -> float:
+        """Temperature of what lies under the lamp, in °C."""
+        return self.room.at(t_s) + self.lamp.warming(t_s)
 
     # --- light --------------------------------------------------------------------------------
 
@@ -268,7 +287,7 @@ class Darkroom:
         cold, warm_s = {"led": (0.02, 200.0), "mercury": (0.7, 100.0)}[placed.stage.light]
         return 1 - cold * math.exp(-max(0.0, t_s - placed.light_since_s) / warm_s)
 
-    def _light(self, stage: Stage) -> Array:
+    def light(self, stage: Stage) -> Array:
         """(n_nm,) full light behind its colour filter."""
         source = {"lamp": lambda: lights.halogen(self.lamp_K), "led": lights.led, "mercury": lights.mercury}
         strength = {"lamp": 1.0, "led": 0.3, "mercury": 0.3}[stage.light]
@@ -307,7 +326,7 @@ class Darkroom:
             where = where * (1 - 0.06 * np.sin(np.deg2rad(stage.angle_deg)) ** 2)
             picture += where[..., None] * self._seen(self.sample.emission(NM), stage, u)
         if reflected and stage.target != "nothing":
-            light = self._light(stage) * reflected / np.pi
+            light = self.light(stage) * reflected / np.pi
             lit = scene.lighting(x, y, stage.light)
             for cover, reflectance in self._surfaces(stage, x, y):
                 where = view.mean(cover * lit)
@@ -359,14 +378,3 @@ def _patch(name: str) -> Array:
             remedy=f"Say patch: and one of {', '.join(known)}.",
         )
     return known[name]
-
-
-def lamp_irradiance(darkroom: Darkroom, bands: Bands) -> Array:
-    """(n_λ,) band means of the rig lamp's irradiance, in the bench's scale: the truth for tests."""
-    fine = darkroom._light(Stage())
-    return np.array(
-        [
-            fine[(low <= NM) & (high > NM)].mean()
-            for low, high in zip(bands.edges_nm[:-1], bands.edges_nm[1:], strict=True)
-        ]
-    )

@@ -8,6 +8,7 @@ is measured in it: a jump of hours is no silence.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import select
 import threading
@@ -16,13 +17,13 @@ import tty
 from pathlib import Path
 from typing import Any
 
-from phoslab.files import write_text
 from phoslab.instruments.bench import lights
 from phoslab.instruments.bench.body import CHOICES, Body
 from phoslab.instruments.bench.controller import SimulatedController
 from phoslab.instruments.bench.darkroom import Darkroom, Stage
 from phoslab.instruments.bench.faults import Fault, parse
 from phoslab.instruments.bench.timekeeper import Timekeeper
+from phoslab.instruments.bench.truth import truth
 from phoslab.instruments.bench.wiring import Wiring
 
 _AWAY_S = 1.0
@@ -34,15 +35,14 @@ _POLL_S = 0.002
 _SHUTTER_PATIENCE_S = 2.0
 """Real time for which a host that has released the shutter may not ask after it."""
 
-PORT_FILE = "port"
-CONTROLLER = "controller"
+PORT = "port"
 
 
 class Laboratory:
     """Everything that the bench's process holds; thread-safe.
 
     Args:
-        folder: where it says its serial port's path (in the file `port`, which is not there while the cable is out).
+        folder: where the link `port` leads to its serial port, while the cable is in.
         room, keeper, body: see there.
         faults: what is going to go wrong.
     """
@@ -50,7 +50,7 @@ class Laboratory:
     def __init__(
         self, folder: Path, room: Darkroom, keeper: Timekeeper, body: Body, faults: list[Fault]
     ) -> None:
-        self._port_file = folder / PORT_FILE
+        self._port = folder / PORT
         self.room, self.keeper, self.body = room, keeper, body
         self._wiring = Wiring(room, keeper)
         self._controller = SimulatedController(self._wiring, boot=1)
@@ -83,6 +83,10 @@ class Laboratory:
                 content = self.body.develop(int(asked["number"]))
                 with self._lock:
                     return {"size": len(content)}, self.body.sent(content)
+        if do == "truth":
+            with self._developing:
+                known = truth(self.room, self.body, int(asked["piece"]), [float(t) for t in asked["times_s"]])
+                return {}, json.dumps(known).encode()
         if do == "delete":
             with self._developing:
                 self.body.check(int(asked["connection"]))
@@ -150,10 +154,19 @@ class Laboratory:
                 self._next_exposure()
                 body.check(int(asked["connection"]))
                 return {"number": body.expose().number}
+            case "abort":
+                body.check(int(asked["connection"]))
+                body.abort()
+                return {}
             case "phase":
                 body.check(int(asked["connection"]))
                 shot = body.card[int(asked["number"])]
-                return {"phase": body.tell(shot), "ready_s": shot.close_s + body.readout_s}
+                phase = body.tell(shot)
+                return {
+                    "phase": phase,
+                    "now_s": self.keeper.now_s(),
+                    "ready_s": shot.close_s + body.readout_s,
+                }
         raise ValueError(f"there is no {do!r}")
 
     # --- time ---------------------------------------------------------------------------------
@@ -231,18 +244,16 @@ class Laboratory:
         tty.setraw(slave)
         os.set_blocking(master, False)
         self._master, self._slave = master, slave
-        write_text(self._port_file, os.ttyname(slave) + "\n")
-        # A name that stays, as /dev/serial/by-id has it.
-        following = self._port_file.with_name(".controller")
-        following.unlink(missing_ok=True)
-        following.symlink_to(os.ttyname(slave))
-        following.replace(self._port_file.with_name(CONTROLLER))
+        # As /dev/serial/by-id does: one name that holds, whatever path the adapter comes back under.
+        beside = self._port.with_name(".port")
+        beside.unlink(missing_ok=True)
+        beside.symlink_to(os.ttyname(slave))
+        beside.replace(self._port)
 
     def _unplug(self) -> None:
         # The next one is opened first: so it gets another path.
         following = os.openpty()
-        self._port_file.unlink(missing_ok=True)
-        self._port_file.with_name(CONTROLLER).unlink(missing_ok=True)
+        self._port.unlink(missing_ok=True)
         os.close(self._slave)
         os.close(self._master)
         self._master, self._slave = -1, -1

@@ -21,7 +21,7 @@ from phoslab.presets import names, preset
 
 Array = NDArray[np.float64]
 
-HASTE = 1.7
+HASTE = 1.3
 """Release rate of the main traps as a multiple of the preset's kr: so the light falls to 1/e in about 1/kr.
 
 Retrapping slows the decay. All times of a sample scale with its kr, so one number serves all presets.

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from phoslab.errors import PhoslabError
 from phoslab.instruments.devices import DeviceGoneError
@@ -53,12 +54,10 @@ class Bench:
     sample: str
     seed: int
 
-    def port(self) -> str | None:
-        """Path of the controller's serial port now; None while its cable is out. It may come back under another."""
-        try:
-            return (self.folder / "port").read_text("utf-8").strip()
-        except OSError:
-            return None
+    @property
+    def port(self) -> str:
+        """Path of the controller's serial port: a link that is not there while its cable is out."""
+        return str(self.folder.absolute() / "port")
 
     def stop(self) -> None:
         """End its process; harmless if it has ended. Left alone, it ends soon after its last host has."""
@@ -152,6 +151,21 @@ def find(folder: Path) -> Bench | None:
     except (OSError, ValueError, KeyError, TypeError, DeviceGoneError):
         return None
     return bench
+
+
+def truth(bench: Bench, times_s: Sequence[float] = (), *, piece: int = 1) -> dict[str, Any]:
+    """Return what the bench really did, for tests; see `phoslab.instruments.bench.truth`.
+
+    Args:
+        bench: a running one.
+        times_s: ascending moments of its monotonic clock, past and dark, at which a sample's light is wanted.
+        piece: of the samples.
+    """
+    link = Link(bench.socket)
+    try:
+        return dict(json.loads(link.ask("truth", times_s=list(times_s), piece=piece)["body"]))
+    finally:
+        link.close()
 
 
 def _alive(pid: int) -> bool:

@@ -107,6 +107,23 @@ def _rays(shape: tuple[int, int]) -> tuple[Array, Array]:
     return grouped(x), grouped(y)
 
 
+def corners_px(panel: Panel, shape: tuple[int, int]) -> list[tuple[float, float]]:
+    """Pixel coordinates (x, y) of a panel's corners in a frame (h, w): top left, top right, bottom right, bottom left.
+
+    The corner of the first pixel is (0, 0), its middle (0.5, 0.5).
+    """
+    view = View.of(shape)
+    x, y = (view.mean(v) for v in panel.across(view.x_mm, view.y_mm))
+    h, w = shape
+    rows, columns = np.mgrid[0:h, 0:w] + 0.5
+    # Plane and picture differ by a projective map; over the frame a quadratic follows it to a hundredth of a pixel.
+    terms = np.stack([np.ones_like(x), x, y, x * y, x**2, y**2], axis=-1).reshape(-1, 6)
+    found = np.linalg.lstsq(terms, np.stack([columns.ravel(), rows.ravel()], axis=-1), rcond=None)[0]
+    ends = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+    corners = [np.array([1, a, b, a * b, a**2, b**2]) @ found for a, b in ends]
+    return [(round(float(px), 3), round(float(py), 3)) for px, py in corners]
+
+
 def coating(x: Array, y: Array) -> Array:
     """Brightness of the paint: laid on by hand, thicker here and there by some percent."""
     return np.asarray(

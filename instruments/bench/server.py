@@ -25,6 +25,7 @@ class Server(socketserver.ThreadingUnixStreamServer):
     """
 
     daemon_threads = True
+    request_queue_size = 64
     block_on_close = False
 
     def __init__(self, path: Path, laboratory: Laboratory, linger_s: float) -> None:

@@ -1,4 +1,4 @@
-"""What the simulated controller is wired to: the dark room's lamp and door, with their relays, photodiode and switches."""
+"""What the simulated controller is wired to: the dark room's lamp and door, relays, photodiode and switches."""
 
 from __future__ import annotations
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 
 from phoslab.errors import PhoslabError
-from phoslab.instruments.devices import DeviceError, Exposure
+from phoslab.instruments.devices import DeviceError
 from phoslab.raw import SETTING_TOLERANCE, read_settings
 
 _SAVE_RAW = "Set the camera's image quality to RAW alone."
@@ -31,7 +33,37 @@ def not_raw(content: bytes) -> str | None:
     return next((kind for at, magic, kind in _NOT_RAW if content[at : at + len(magic)] == magic), None)
 
 
-def check_raw(path: Path, device: str, exposure: Exposure | None) -> None:
+def suffix_of(path: Path) -> str:
+    """Return the suffix that a RAW file's content deserves: CR2, CR3, NEF, ARW, RAF, RW2, ORF, dng; else raw."""
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    for at, magic, suffix in (
+        (8, b"CR\x02", "CR2"),
+        (4, b"ftypcrx", "CR3"),
+        (0, b"FUJIFILMCCD-RAW", "RAF"),
+        (0, b"IIU\0", "RW2"),
+        (0, b"IIRO", "ORF"),
+        (0, b"IIRS", "ORF"),
+    ):
+        if head[at : at + len(magic)] == magic:
+            return suffix
+    if head[:4] not in (b"II*\0", b"MM\0*"):
+        return "raw"
+    # The others are TIFF files. A DNG has the tag 50706 in its first directory; of the rest the maker decides.
+    order: Literal["little", "big"] = "little" if head[:1] == b"I" else "big"
+
+    def number(at: int, size: int) -> int:
+        return int.from_bytes(head[at : at + size], order)
+
+    first = number(4, 4)
+    tags = {number(first + 2 + 12 * k, 2) for k in range(min(number(first, 2), 300))}
+    if 50706 in tags:
+        return "dng"
+    makers = ((b"NIKON", "NEF"), (b"SONY", "ARW"), (b"PENTAX", "PEF"), (b"SAMSUNG", "SRW"))
+    return next((suffix for maker, suffix in makers if maker in head.upper()), "raw")
+
+
+def check_raw(path: Path, device: str, settings: Mapping[str, float | None]) -> None:
     """Check that a file is a whole RAW frame with the settings that were asked for.
 
     The decoder runs in a limited process (phoslab.limited): nobody vouches for what a cable delivers.
@@ -39,7 +71,7 @@ def check_raw(path: Path, device: str, exposure: Exposure | None) -> None:
     Args:
         path: the file.
         device: the camera, for messages.
-        exposure: the settings; what is None, or what the file does not say, is not compared.
+        settings: exposure_s, iso and f_number; what is None, or what the file does not say, is not compared.
 
     Raises:
         DeviceError: it is not. The file is left as it is.
@@ -56,10 +88,8 @@ def check_raw(path: Path, device: str, exposure: Exposure | None) -> None:
             field=device,
             remedy="Fetch it again; if that does not help, look at the camera's card and image quality.",
         ) from error
-    if exposure is None:
-        return
-    for name in ("exposure_s", "iso", "f_number"):
-        wanted, said = getattr(exposure, name), found[name]
+    for name, wanted in settings.items():
+        said = found[name]
         if wanted is None or said is None:
             continue
         if abs(math.log(said / wanted)) > math.log1p(SETTING_TOLERANCE):

@@ -9,7 +9,9 @@ camera.save(Path("0000.dng"))
 
 from __future__ import annotations
 
+import contextlib
 import math
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,6 +41,7 @@ class SimulatedCamera(Tethered):
         super().__init__(name, clock)
         self._link, self.bench_clock = link, clock
         self._connection = 0
+        self._released = threading.Event()
         self._number = 0
         self.ready_s: float | None = None  # when what goes on will be over, once that is known
         self._offers: dict[str, Any] = {}
@@ -74,6 +77,14 @@ class SimulatedCamera(Tethered):
         dials = {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "f_number": f_number}
         self._patiently(lambda: self._ask("set", **dials), _busy, _BUSY_S)
 
+    def trigger(self) -> Status:
+        """See Tethered; it returns when the bench has been told, so that a clock that jumps then jumps after it."""
+        self._released.clear()
+        status = super().trigger()
+        while not status.done and not self._released.wait(_POLL_S):
+            pass
+        return status
+
     def _release(self, exposure: Exposure | None) -> Opened:
         shot: dict[str, Any] = {}
 
@@ -90,7 +101,16 @@ class SimulatedCamera(Tethered):
 
         self._patiently(release, _busy, _BUSY_S)
         self._number = int(shot["number"])
-        not_before_s = float(shot["asked_s"])
+        self._released.set()
+        try:
+            return self._watch(float(shot["asked_s"]))
+        except DeviceError:
+            with contextlib.suppress(DeviceError):
+                self._ask("abort")
+            raise
+
+    def _watch(self, not_before_s: float) -> Opened:
+        """See the shutter open, and wait until the frame is there."""
         while True:
             asked_s = self._clock.mono_s()
             state = self._ask("phase", number=self._number)
@@ -98,7 +118,9 @@ class SimulatedCamera(Tethered):
                 break
             not_before_s = asked_s
             self._pause(_POLL_S)
-        not_after_s = self._clock.mono_s()
+        not_after_s = float(
+            state["now_s"]
+        )  # not this side's: the clock may jump while the answer is on its way
         self.ready_s = float(state["ready_s"])
         while state["phase"] != "ready":
             self._pause(_POLL_S)

@@ -6,15 +6,16 @@ A driver says how to connect, set, release and fetch; everything that a plan may
 from __future__ import annotations
 
 import abc
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from phoslab.instruments.cameras.content import check_raw
-from phoslab.instruments.devices import Clock, DeviceError, DeviceGoneError, Exposure, Reading, Status
+from phoslab.instruments.devices import Clock, DeviceError, Exposure, Reading, Status
 
 
 @dataclass(frozen=True)
@@ -107,10 +108,10 @@ class Tethered(abc.ABC):
         """Let it go."""
         self.stop()
         with self._doing:
-            try:
+            with contextlib.suppress(
+                Exception
+            ):  # it is gone, or lets go badly: either way we are done with it
                 self._disconnect()
-            except Exception:  # it is gone, or lets go badly: either way we are done with it
-                pass
             self._staged = False
         return [self]
 
@@ -142,12 +143,13 @@ class Tethered(abc.ABC):
             if not self._unsaved:
                 raise DeviceError("has no frame to save", field=self._name, remedy="Expose first.")
             self._fetch(path)
-            check_raw(path, self._name, self._exposure)
+            check_raw(path, self._name, {} if self._exposure is None else asdict(self._exposure))
             self._forget()
             self._unsaved = False
 
     def read(self) -> dict[str, Reading]:
         """Return the number of exposures, the settings, and `start` and `start_uncertainty` of the last exposure."""
+        self._check_staged()
         now = self._clock.mono_s()
         values: dict[str, tuple[Any, str, float]] = {self._name: (self._exposures, "", now)}
         if self._exposure is not None:
@@ -189,8 +191,7 @@ class Tethered(abc.ABC):
         def run() -> None:
             try:
                 with self._doing:
-                    if not self._staged:
-                        raise DeviceGoneError("is not connected", field=self._name, remedy="Stage it first.")
+                    self._check_staged()
                     act()
             except Exception as error:
                 status.finish(error)
@@ -203,6 +204,10 @@ class Tethered(abc.ABC):
     def _status(self, command: str) -> Status:
         """The kind of status that goes out."""
         return Status(self._name, command)
+
+    def _check_staged(self) -> None:
+        if not self._staged:
+            raise DeviceError("is not staged", field=self._name, remedy="Stage it first.")
 
     def _check_choices(self, value: Exposure) -> None:
         for name, known in self.choices.items():

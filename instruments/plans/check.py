@@ -16,7 +16,7 @@ from typing import Any
 
 from phoslab.instruments.devices import Exposure
 from phoslab.instruments.plans.darks import dark_frames
-from phoslab.instruments.plans.decay import even_times, fading_frames
+from phoslab.instruments.plans.decay import SETTLE_S, even_times, fading_frames
 from phoslab.instruments.plans.ladder import gain
 from phoslab.instruments.plans.metering import meter_glow
 from phoslab.instruments.plans.steps import (
@@ -57,7 +57,7 @@ def check(p: Check, setup: Setup) -> Plan:
         off_s: float = yield Lamp("off")
         yield Wait(setup.fade_s, "the lamp fades", since_s=off_s)
         open_s: float = yield Door("open")
-        at_s = [off_s + t for t in even_times(open_s - off_s, p.until_s, p.interval_s)]
+        at_s = [off_s + t for t in even_times(open_s + SETTLE_S - off_s, p.until_s, p.interval_s)]
         settings = yield from fading_frames(setup, "decay", at_s, exposure, p.longest_s)
         yield Door("closed")
         used |= settings
@@ -75,7 +75,7 @@ def check(p: Check, setup: Setup) -> Plan:
         yield Part(f"seen from {angle:g} degrees")
         # The same charge each time, so that only the direction differs.
         exposure, _, open_s = yield from _charged(p, setup, Stage("sample", angle_deg=angle), charges_s[-1])
-        yield Shoot("decay", exposure, open_s)
+        yield Shoot("decay", exposure, open_s + SETTLE_S)
         used.add(exposure)
         yield Door("closed")
     yield from dark_frames(used, p.darks)
@@ -90,7 +90,7 @@ def _charged(
     yield Door("closed")
     yield Lamp("on")
     yield Wait(charge_s, "charging")
-    exposure: Exposure = yield from meter_glow(setup.ladder.up_to(p.longest_s), setup)
+    exposure: Exposure = yield from meter_glow(setup.ladder.up_to(p.longest_s), setup, charge_s)
     off_s: float = yield Lamp("off")
     yield Wait(setup.fade_s, "the lamp fades", since_s=off_s)
     open_s: float = yield Door("open")

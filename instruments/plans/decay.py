@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterator
 from typing import Any
 
@@ -11,6 +12,9 @@ from phoslab.instruments.plans.metering import meter_glow
 from phoslab.instruments.plans.steps import Door, Lamp, Part, Plan, Setup, Shoot, Shot, Stage, Step, Wait
 from phoslab.instruments.plans.warm_up import warm_up
 from phoslab.plan_parameters import Decay
+
+SETTLE_S = 0.2
+"""From the door's end switch to the first frame: the sample no longer shakes, and the camera can be told in time."""
 
 
 def decay(p: Decay, setup: Setup) -> Plan:
@@ -24,18 +28,18 @@ def decay(p: Decay, setup: Setup) -> Plan:
     yield Door("closed")
     yield Lamp("on")
     yield Wait(p.charge_s, "charging")
-    exposure = yield from meter_glow(setup.ladder.up_to(p.longest_s), setup)
+    exposure = yield from meter_glow(setup.ladder.up_to(p.longest_s), setup, p.charge_s)
     # Trials took light; give it back before the series.
     yield Wait(min(600.0, p.charge_s / 4), "charging")
     off_s: float = yield Lamp("off")
     yield Wait(setup.fade_s, "the lamp fades", since_s=off_s)
     open_s: float = yield Door("open")
+    first_s = open_s + SETTLE_S - off_s
     if p.spacing == "log":
-        after_s = list(log_times(open_s - off_s, p.until_s, p.per_decade, setup.cycle_s + 0.5))
+        after_s = list(log_times(first_s, p.until_s, p.per_decade, setup.cycle_s + 0.5))
     else:
-        after_s = list(even_times(open_s - off_s, p.until_s, p.interval_s))
+        after_s = list(even_times(first_s, p.until_s, p.interval_s))
     used = yield from fading_frames(setup, "decay", [off_s + t for t in after_s], exposure, p.longest_s)
-    yield Door("closed")
     yield from dark_frames(used, p.darks)
 
 
@@ -73,14 +77,14 @@ def fading_frames(
     A frame that is lost or too late is left out, and the series goes on: a decay cannot be stopped.
     """
     used: set[Exposure] = set()
+    level = math.nan  # of the frame before
     for k, moment_s in enumerate(at_s):
         gap_s = at_s[k + 1] - moment_s if k + 1 < len(at_s) else longest_s + setup.cycle_s
         ladder = setup.ladder.up_to(min(longest_s, max(gap_s - setup.cycle_s, 0.0)))
-        if k:
-            exposure = ladder.follow(exposure, level)
+        exposure = ladder.follow(exposure, level)
         shot: Shot = yield Shoot(role, exposure, moment_s, gap_s / 2)
         if shot.frame is None:
-            level = float("nan")
+            level = math.nan
             continue
         used.add(exposure)
         level = shot.level

@@ -14,7 +14,7 @@ from typing import Any
 
 from phoslab.instruments.devices import Exposure
 from phoslab.instruments.plans.darks import dark_frames
-from phoslab.instruments.plans.ladder import HIGHEST, LOWEST, gain
+from phoslab.instruments.plans.ladder import HIGHEST, LOWEST, TARGET, gain
 from phoslab.instruments.plans.steps import (
     Dark,
     Door,
@@ -49,14 +49,14 @@ def excitation(p: Excitation, setup: Setup) -> Plan:
     while lit_s <= p.last_s * 1.001:
         shot = yield from _excite(p, setup, lit_s, len(signal), exposure, used)
         signal[lit_s] = shot.level / gain(shot.exposure)
-        exposure = ladder.aim(shot.exposure, GROWTH * shot.level)
+        exposure = ladder.aim(shot.exposure, shot.level, TARGET / GROWTH)
         if len(signal) > 1 and signal[lit_s] < (1 + p.change) * signal[lit_s / 2]:
             break
         lit_s *= 2
     for lit_s in _between(signal, p.between):
         # Less than the glow after the next longer exposure, which is known.
         brighter = min(t for t in signal if t > lit_s)
-        exposure = ladder.aim(Exposure(1.0, 100, None), GROWTH / 2 * signal[brighter])
+        exposure = ladder.reaching(TARGET / signal[brighter])
         shot = yield from _excite(p, setup, lit_s, len(signal), exposure, used)
         signal[lit_s] = shot.level / gain(shot.exposure)
     yield from dark_frames(used, p.darks)

@@ -92,7 +92,8 @@ def _overlaps(ladder: Ladder, reference: Exposure, level: float) -> Iterator[tup
             for base in everything:
                 if getattr(base, name) != low:
                     continue
-                other = replace(base, **{name: high})
+                changed: dict[str, Any] = {name: high}
+                other = replace(base, **changed)
                 if serves(base) and serves(other):
                     yield base, other
                     break

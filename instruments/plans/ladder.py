@@ -23,6 +23,9 @@ LOWEST, HIGHEST = 0.05, 0.80
 TARGET = 0.55
 """Level that a new setting aims at: a stop of it may be missed and the light be 1.4 times as bright."""
 
+SATURATED = 0.97
+"""From here on a level says no more than that there is more light."""
+
 KEEP = 0.22
 """A setting is kept while a frame reaches this: light that halves until the next still leaves twice `LOWEST`."""
 
@@ -85,9 +88,11 @@ class Ladder:
             raise PhoslabError(
                 "offers no exposure time or ISO within the limits",
                 field="the camera",
-                remedy="Widen [camera.limits] in the rig file, or turn the camera's dial to M.",
+                remedy="Widen [camera.limits] in the rig file, or say there what is set: exposures_s and isos.",
             )
-        return cls(exposures, isos, within("f_number", "f_number_min", "f_number_max", math.sqrt(2)) or (None,))
+        return cls(
+            exposures, isos, within("f_number", "f_number_min", "f_number_max", math.sqrt(2)) or (None,)
+        )
 
     @property
     def rungs(self) -> tuple[Exposure, ...]:
@@ -115,16 +120,20 @@ class Ladder:
 
         A saturated frame only says "too much": three stops less.
         """
-        known = gain(exposure) / 8 if level >= 0.97 else gain(exposure) * target / max(level, 1e-4)
-        below = [e for e in self.rungs if gain(e) <= known * 1.02]
+        if level >= SATURATED:
+            return self.reaching(gain(exposure) / 8)
+        return self.reaching(gain(exposure) * target / max(level, 1e-4))
+
+    def reaching(self, wanted: float) -> Exposure:
+        """The rung with the largest gain up to `wanted`, or the lowest."""
+        below = [e for e in self.rungs if gain(e) <= wanted * 1.02]
         return below[-1] if below else self.rungs[0]
 
     def follow(self, exposure: Exposure, level: float) -> Exposure:
         """The setting for the next frame of a light that only fades: the same while it serves."""
-        usable = exposure in self.rungs or exposure.exposure_s <= self.exposures_s[-1] * 1.001
-        if usable and KEEP <= level <= HIGHEST:
-            return exposure
         if math.isnan(level):
+            return exposure
+        if KEEP <= level <= HIGHEST and exposure.exposure_s <= self.exposures_s[-1] * 1.001:
             return exposure
         return self.aim(exposure, level)
 

@@ -1,4 +1,4 @@
-"""The exciting lamp's own spectrum: the grey card through the LVF. Excitation rates refer to it (Nalbach 2017, 8.4.6)."""
+"""The exciting lamp's own spectrum: the grey card through the LVF. Excitation rates refer to it (8.4.6)."""
 
 from __future__ import annotations
 

@@ -13,7 +13,8 @@ TRIALS = 8
 RECHARGE_S = 60.0
 """Light between two trials on a glow; a trial takes some seconds of it."""
 
-_LOW, _HIGH = 0.15, 0.70
+_LOW, _GOOD, _HIGH = 0.15, 0.30, 0.70
+"""Levels from which a trial says how to do better, within which there is no need to."""
 
 
 def meter(ladder: Ladder, start: Exposure | None = None) -> Generator[Step, Any, Exposure]:
@@ -27,10 +28,15 @@ def meter(ladder: Ladder, start: Exposure | None = None) -> Generator[Step, Any,
     return exposure
 
 
-def meter_glow(ladder: Ladder, setup: Setup, start: Exposure | None = None) -> Generator[Step, Any, Exposure]:
+def meter_glow(
+    ladder: Ladder, setup: Setup, charge_s: float, start: Exposure | None = None
+) -> Generator[Step, Any, Exposure]:
     """Return the setting for the first frame after lamp-off: the lamp goes off for each trial, and on again after it.
 
     Every trial sees the glow just as the first frame will, so the fastest part of a decay cannot overexpose it.
+
+    Args:
+        charge_s: how long the lamp has shone before.
     """
     exposure = start if start in ladder.rungs else ladder.middle
     for _ in range(TRIALS):
@@ -40,7 +46,7 @@ def meter_glow(ladder: Ladder, setup: Setup, start: Exposure | None = None) -> G
         shot: Shot = yield Shoot("meter", exposure)
         yield Door("closed")
         yield Lamp("on")
-        yield Wait(RECHARGE_S, "charging again after a trial")
+        yield Wait(min(RECHARGE_S, charge_s), "charging again after a trial")
         exposure, sure = _better(ladder, shot)
         if sure:
             break
@@ -51,5 +57,7 @@ def _better(ladder: Ladder, shot: Shot) -> tuple[Exposure, bool]:
     """What to take instead, and whether that is sure to serve: a frame far off the mark says little about how far."""
     if shot.frame is None:
         return shot.exposure, False
+    if _GOOD <= shot.level <= _HIGH:
+        return shot.exposure, True
     better = ladder.aim(shot.exposure, shot.level)
     return better, _LOW <= shot.level <= _HIGH or better == shot.exposure

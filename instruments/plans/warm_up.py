@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import Any, Literal
 
+from phoslab.instruments.plans.ladder import HIGHEST
 from phoslab.instruments.plans.metering import meter
 from phoslab.instruments.plans.steps import Cold, Door, Lamp, Setup, Shoot, Shot, Step, Wait
 
@@ -35,6 +36,10 @@ def warm_up(light: Literal["lamp", "led", "mercury"], setup: Setup) -> Generator
         # A rehearsal never finds it stable, and so counts the longest time.
         shot: Shot = yield Shoot("meter", exposure, rehearsed=0.4 + 0.1 * (len(levels) % 2))
         began_s = shot.start_s if began_s is None else began_s
+        if shot.level > HIGHEST and exposure != setup.ladder.rungs[0]:
+            # It has become so bright that frames no longer tell whether it still grows.
+            exposure, levels = setup.ladder.aim(exposure, shot.level), []
+            continue
         levels.append(shot.level)
         recent = levels[-N_STABLE:]
         if len(recent) == N_STABLE and max(recent) - min(recent) <= STABLE * max(recent):

@@ -17,17 +17,17 @@ from typing import Any
 
 import tomli_w
 
-from phoslab.app.laboratory import Opened, Source, check_plan, header_of, opened
 from phoslab import schemas
+from phoslab.app.laboratory import Opened, Source, check_plan, header_of, opened
 from phoslab.errors import PhoslabError, printable
 from phoslab.files import inside, read_regular, write_text
 from phoslab.instruments.history import History
 from phoslab.instruments.interrupts import Interrupts
 from phoslab.instruments.plans import start
+from phoslab.instruments.recorder import Recorder, check_free, lock
 from phoslab.instruments.rehearsal import Rehearsal, TimeLine
 from phoslab.instruments.rig import Rig, plain
 from phoslab.instruments.runner import Runner
-from phoslab.instruments.recorder import Recorder, check_free, lock
 from phoslab.journal import check_version
 from phoslab.plan_parameters import Lamp, Parameters, parameters
 from phoslab.session import Session
@@ -80,13 +80,26 @@ class Campaign:
             return _load_several(folder)
         session = Session.open(folder)
         header = session.header
-        entry = Entry(folder, header.plan, parameters(header.plan, header.parameters, file=folder / "session.toml"))
+        entry = Entry(
+            folder, header.plan, parameters(header.plan, header.parameters, file=folder / "session.toml")
+        )
         if header.simulated is not None:
             told = header.simulated
-            source = Source(None, str(told.get("sample", "green")), int(told["seed"]), tuple(told.get("faults", ())))
+            source = Source(
+                None, str(told.get("sample", "green")), int(told["seed"]), tuple(told.get("faults", ()))
+            )
         else:
             source = Source(Rig.from_header(header.rig))
         return cls(folder, (entry,), source, header.sample_name, several=False)
+
+    @property
+    def rig(self) -> Rig:
+        """The rig; that of the bench if there is no other."""
+        if self.source.rig is not None:
+            return self.source.rig
+        from phoslab.app.simulation import bench_of
+
+        return bench_of(Path("controller"), Path("socket"))
 
     def save(self) -> None:
         """Write campaign.toml."""
@@ -95,7 +108,8 @@ class Campaign:
             "sample": self.sample,
             **self.source.table(),
             "sessions": [
-                {"folder": e.folder.name, "plan": e.plan, "parameters": asdict(e.parameters)} for e in self.entries
+                {"folder": e.folder.name, "plan": e.plan, "parameters": asdict(e.parameters)}
+                for e in self.entries
             ],
         }
         write_text(self.folder / FILE, tomli_w.dumps(plain(data)))
@@ -107,7 +121,7 @@ class Campaign:
             opened: the laboratory, as far as it is known.
             done: sessions that are complete.
         """
-        setup = opened.setup if opened else (self.source.rig or _SIMULATED).setup()
+        setup = opened.setup if opened else self.rig.setup()
         rehearsal = Rehearsal(setup)
         for entry in self.entries:
             if entry.folder not in done:
@@ -117,23 +131,11 @@ class Campaign:
         return rehearsal.line
 
 
-_SIMULATED = Rig(
-    {
-        "name": "bench",
-        "lamp": {"driver": "controller"},
-        "door": {"driver": "controller"},
-        "camera": {"driver": "simulated", "cycle_s": 0.5, "frame_MB": 0.2},
-        "filters": {"names": ["R02", "R27", "R80"]},
-    }
-)
-
-
 def begin(campaign: Campaign) -> None:
     """Refuse what is wrong before any device is touched; then make room for it."""
     check_free(campaign.folder)
     line = campaign.rehearse()
-    rig = campaign.source.rig or _SIMULATED
-    check_plan(line, rig.max_on_s, campaign.folder, rig.frame_bytes)
+    check_plan(line, campaign.rig.max_on_s, campaign.folder, campaign.rig.frame_bytes)
 
 
 def measured(campaign: Campaign, *, json: bool, resume: bool = False) -> int:
@@ -151,7 +153,9 @@ def measured(campaign: Campaign, *, json: bool, resume: bool = False) -> int:
     except PhoslabError as error:
         problem = str(error)
     again = f"phoslab resume {campaign.folder}"
-    can_resume = bool(problem) and ((campaign.folder / FILE).exists() or (campaign.folder / "journal.jsonl").exists())
+    can_resume = bool(problem) and (
+        (campaign.folder / FILE).exists() or (campaign.folder / "journal.jsonl").exists()
+    )
     if json:
         import json as json_module
 
@@ -204,7 +208,9 @@ def run(campaign: Campaign, *, view: str, resume: bool = False) -> Iterator[Outc
     left = [e for e in campaign.entries if e.folder not in done]
     if not left:
         raise PhoslabError(
-            "is complete", file=campaign.folder, remedy="There is nothing to resume; measure into a new folder."
+            "is complete",
+            file=campaign.folder,
+            remedy="There is nothing to resume; measure into a new folder.",
         )
     title = f"{campaign.sample}: {', '.join(e.plan for e in left)}"
     with _locked(campaign, resume), Interrupts() as interrupts:
@@ -276,7 +282,9 @@ def _load_several(folder: Path) -> Campaign:
         data = tomllib.loads(content.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise PhoslabError(
-            f"is not valid TOML: {error}", file=file, remedy="Copy the folder again from where it was measured."
+            f"is not valid TOML: {error}",
+            file=file,
+            remedy="Copy the folder again from where it was measured.",
         ) from error
     check_version(data.get("schema"), SCHEMA, file, "schema")
     schemas.check(data, "campaign-1", file=file)

@@ -8,21 +8,21 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from phoslab import raw
 from phoslab.app.live import Lines, Live, Silent, Terminal
 from phoslab.errors import PhoslabError
-from phoslab.instruments.devices import DeviceError, Exposure
+from phoslab.instruments.devices import Clock, DeviceError, Exposure
 from phoslab.instruments.interrupts import Interrupts
+from phoslab.instruments.operator import Operator
 from phoslab.instruments.plans.ladder import Ladder
 from phoslab.instruments.plans.steps import Setup
-from phoslab.instruments.rig import Devices, Rig, connect
-from phoslab.instruments.runner import CAMERA_S, Laboratory, check_space
 from phoslab.instruments.recorder import SystemClock
 from phoslab.instruments.rehearsal import TimeLine
+from phoslab.instruments.rig import Devices, Rig, connect
+from phoslab.instruments.runner import CAMERA_S, Laboratory, check_space
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,13 @@ class Opened:
 
 @contextmanager
 def opened(
-    source: Source, interrupts: Interrupts, *, view: str, title: str, total_s: float, not_before: str | None = None
+    source: Source,
+    interrupts: Interrupts,
+    *,
+    view: str,
+    title: str,
+    total_s: float,
+    not_before: str | None = None,
 ) -> Iterator[Opened]:
     """Open the devices, check the camera with a trial frame, and show what goes on; leave everything safe.
 
@@ -80,6 +86,8 @@ def opened(
         PhoslabError: something is not there or not as it should be. The lamp has not been on then.
     """
     with ExitStack() as stack:
+        operator: Operator
+        clock: Clock
         if source.rig is None:
             from phoslab.app.simulation import started
 
@@ -125,7 +133,9 @@ def check_camera(lab: Laboratory, ladder: Ladder) -> None:
     Raises:
         DeviceError: it is not so.
     """
-    exposure = Exposure(ladder.exposures_s[len(ladder.exposures_s) // 2], ladder.isos[-1], ladder.f_numbers[0])
+    exposure = Exposure(
+        ladder.exposures_s[len(ladder.exposures_s) // 2], ladder.isos[-1], ladder.f_numbers[0]
+    )
     lab.camera.set(exposure).wait(CAMERA_S)
     lab.camera.trigger().wait(exposure.exposure_s + CAMERA_S)
     with tempfile.TemporaryDirectory(prefix="phoslab-") as folder:
@@ -168,7 +178,9 @@ def check_plan(line: TimeLine, max_on_s: float, out: Path, frame_bytes: int) -> 
     check_space(out.resolve(), line.n_frames, frame_bytes)
 
 
-def header_of(plan: str, parameters: Mapping[str, Any], sample: str, described: Mapping[str, Any]) -> dict[str, Any]:
+def header_of(
+    plan: str, parameters: Mapping[str, Any], sample: str, described: Mapping[str, Any]
+) -> dict[str, Any]:
     """session.toml without its first two lines."""
     from phoslab import __version__
 
@@ -178,8 +190,3 @@ def header_of(plan: str, parameters: Mapping[str, Any], sample: str, described: 
         "sample": {"name": sample, **described.get("sample", {})},
         "software": {"phoslab": __version__, "python": sys.version.split()[0]},
     }
-
-
-def wall_of(text: str) -> datetime:
-    """A moment from RFC 3339."""
-    return datetime.fromisoformat(text)

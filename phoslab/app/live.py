@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import select
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -176,7 +175,13 @@ def frame_line(role: str, shot: Shot) -> str:
     settings = f"{e.exposure_s:g} s ISO {e.iso:g}" + (f" f/{e.f_number:g}" if e.f_number else "")
     if shot.frame is None:
         return f"a {role} frame of {settings} was lost"
-    too = " (too bright)" if shot.level > HIGHEST else " (dark)" if shot.level < LOWEST and role != "dark" else ""
+    too = (
+        " (too bright)"
+        if shot.level > HIGHEST
+        else " (dark)"
+        if shot.level < LOWEST and role != "dark"
+        else ""
+    )
     return f"{shot.frame} {role} {settings}: {shot.level:.0%}".replace("%", " %") + f" of saturation{too}"
 
 
@@ -248,7 +253,9 @@ class Terminal:
             print(file=sys.stderr)
             for text in texts:
                 print(printable(f"  -> {text}"), file=sys.stderr)
-            print("  Then press Enter (Ctrl-C: stop here, resume later). ", end="", file=sys.stderr, flush=True)
+            print(
+                "  Then press Enter (Ctrl-C: stop here, resume later). ", end="", file=sys.stderr, flush=True
+            )
             _wait_for_enter(check)
 
 
@@ -262,7 +269,9 @@ def _wait_for_enter(check: Callable[[], None]) -> None:
             ready, _, _ = select.select([handle], [], [], 0.2)
             if not ready:
                 continue
-            typed = os.read(handle, 4096)
+            typed = os.read(
+                handle, 1
+            )  # no further than the line's end: the next one is for the next question
         except (OSError, ValueError):
             typed = b""
         if b"\n" in typed:
@@ -273,4 +282,3 @@ def _wait_for_enter(check: Callable[[], None]) -> None:
                 field="the input",
                 remedy="Run it in a terminal; phoslab resume goes on from here.",
             )
-        time.sleep(0.01)

@@ -60,10 +60,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _add_common(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig file (docs/formats-rig.md)")
-    where.add_argument("--simulate", metavar="PRESET", help="on the simulated bench, with a sample of this colour")
+    where.add_argument(
+        "--simulate", metavar="PRESET", help="on the simulated bench, with a sample of this colour"
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="a new folder for what is measured")
     parser.add_argument("--sample", metavar="NAME", help="name of the sample (default: the folder's)")
-    parser.add_argument("--seed", type=int, default=None, metavar="N", help="of the simulated noise (default: 0)")
+    parser.add_argument(
+        "--seed", type=int, default=None, metavar="N", help="of the simulated noise (default: 0)"
+    )
     parser.add_argument(
         "--fault",
         action="append",
@@ -91,7 +95,9 @@ def _metavar(about: dataclasses.Field[Any]) -> str:
     if about.metadata["choices"]:
         return "|".join(about.metadata["choices"])
     unit = {"_s": "S", "eg": "DEG,...", "lx": "LX"}.get(about.name[-2:], "N")
-    return unit if not isinstance(about.default, str) else ("S,..." if about.name.endswith("_s") else "NAME,...")
+    return (
+        unit if not isinstance(about.default, str) else ("S,..." if about.name.endswith("_s") else "NAME,...")
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -106,7 +112,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _campaign(args: argparse.Namespace) -> Campaign:
     """What the arguments ask for."""
-    from phoslab.app.campaign import Campaign, Entry, Source
+    from phoslab.app.campaign import Campaign, Entry
+    from phoslab.app.laboratory import Source
     from phoslab.instruments.rig import Rig
 
     if args.rig is not None and (args.fault or args.seed is not None):
@@ -126,10 +133,11 @@ def _campaign(args: argparse.Namespace) -> Campaign:
             given.setdefault(plan, {})[name] = value
         for plan in (*plans, *given):
             if plan not in plan_parameters.PLANS or plan not in plans:
+                known = plans if plan in plan_parameters.PLANS else plan_parameters.PLANS
                 raise PhoslabError(
                     f"names {plan!r}, which is no plan of this measurement",
                     field="--only or --set",
-                    remedy=f"The plans are: {', '.join(plans if plan in plan_parameters.PLANS else plan_parameters.PLANS)}.",
+                    remedy=f"The plans are: {', '.join(known)}.",
                 )
         folders = {plan: folder / f"{k:02d}-{plan}" for k, plan in enumerate(plans, start=1)}
     else:
@@ -140,7 +148,8 @@ def _campaign(args: argparse.Namespace) -> Campaign:
             if name.startswith("p_") and value is not None
         }
     entries = tuple(
-        Entry(path, plan, plan_parameters.parameters(plan, given.get(plan, {}))) for plan, path in folders.items()
+        Entry(path, plan, plan_parameters.parameters(plan, given.get(plan, {})))
+        for plan, path in folders.items()
     )
     if args.simulate is not None:
         source = Source(None, _preset(args.simulate), args.seed or 0, tuple(args.fault))
@@ -172,7 +181,9 @@ def _preset(name: str) -> str:
 
     if name not in presets.names():
         raise PhoslabError(
-            f"is {name!r}, which is no preset", field="--simulate", remedy=f"Use one of: {', '.join(presets.names())}."
+            f"is {name!r}, which is no preset",
+            field="--simulate",
+            remedy=f"Use one of: {', '.join(presets.names())}.",
         )
     return name
 

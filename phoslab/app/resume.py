@@ -15,7 +15,9 @@ EXAMPLE = "phoslab resume sessions/star"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of a session, or of measure all")
-    parser.add_argument("--rig", type=Path, metavar="RIG.toml", help="another rig file than it was begun with")
+    parser.add_argument(
+        "--rig", type=Path, metavar="RIG.toml", help="another rig file than it was begun with"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
 
 
@@ -31,7 +33,9 @@ def run(args: argparse.Namespace) -> int:
 
         if campaign.source.rig is None:
             raise PhoslabError(
-                "was simulated", file=args.folder, remedy="Leave --rig out: it goes on on the simulated bench."
+                "was simulated",
+                file=args.folder,
+                remedy="Leave --rig out: it goes on on the simulated bench.",
             )
         campaign = replace(campaign, source=replace(campaign.source, rig=Rig.load(args.rig)))
     return campaigns.measured(campaign, json=args.json, resume=True)

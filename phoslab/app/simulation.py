@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 from phoslab.instruments.bench import rig as bench_rig
@@ -15,7 +16,11 @@ from phoslab.instruments.simulated import BenchClock, Hands, Link
 
 STATEMENT = "SIMULATED by the phoslab bench: no light was measured."
 
-FILTERS = ("R02", "R27", "R80")
+FILTERS = (
+    *("L002", "L035", "L101", "L122", "L147", "L179", "L201", "L225", "L279", "L366"),
+    *("L603", "L714", "L736", "L775"),
+)
+"""Of the 263 that `lighting-filters` has, every nineteenth."""
 
 AWAY = timedelta(minutes=10)
 """How much later it is on a bench that is started anew for a session that was interrupted."""
@@ -51,10 +56,24 @@ class BenchOperator:
             self._hands.place(
                 target=stage.target,
                 lvf=stage.lvf,
-                filter=stage.filter,
+                filter_name=stage.filter,
                 light=stage.light,
                 angle_deg=stage.angle_deg,
             )
+
+
+def bench_of(port: Path, socket: Path) -> Rig:
+    """The bench's rig file."""
+    return Rig.of(
+        {
+            "schema": SCHEMA,
+            "name": "bench",
+            "lamp": {"driver": "controller", "port": str(port), "max_on_s": 14400},
+            "door": {"driver": "controller", "port": str(port)},
+            "camera": {"driver": "simulated", "port": str(socket), "cycle_s": 0.5, "frame_MB": 0.2},
+            "filters": {"names": list(FILTERS)},
+        }
+    )
 
 
 @contextmanager
@@ -71,17 +90,7 @@ def started(sample: str, seed: int, faults: Sequence[str], not_before: str | Non
     with bench_rig.start(sample, seed=seed, faults=tuple(faults), at=at) as bench:
         clock = BenchClock(bench.folder, Link(bench.socket))
         hands = Hands(Link(bench.socket))
-        port = str(bench.folder / "controller")
-        rig = Rig.of(
-            {
-                "schema": SCHEMA,
-                "name": "bench",
-                "lamp": {"driver": "controller", "port": port, "max_on_s": 14400},
-                "door": {"driver": "controller", "port": port},
-                "camera": {"driver": "simulated", "port": str(bench.socket), "cycle_s": 0.5, "frame_MB": 0.2},
-                "filters": {"names": list(FILTERS)},
-            }
-        )
+        rig = bench_of(Path(bench.port), bench.socket)
         header = {
             "operator": "nobody",
             "sample": {"note": STATEMENT},

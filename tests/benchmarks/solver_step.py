@@ -3,8 +3,9 @@
     python tests/benchmarks/solver_step.py [TEXELS]
 
 Two states on TEXELS² texels (2048 by default), with the excitation of one light. The other pass reads and writes the
-same textures and computes nothing but a choice. The goal for the default, exact in f32, is a ratio of at most 1.15.
-Medians of 20, taken in turns in one process, so that a busy machine slows both.
+same textures and computes nothing but a choice. "frame" is a step of 1/60 s, "jump" one of 60 s, "dark" one of 1/60 s
+without light. The goal for the default, exact in f32, is a ratio of at most 1.15.
+Medians of 20, taken in turns in one process, each ratio within its turn, so that a busy machine slows both.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from phoslab.solvers import Drive
 
 RUNS = 20
 WARM_UP = 2
-STEP_S = 1 / 60
+STEP_S, JUMP_S = 1 / 60, 60.0
 KR = np.array([0.2, 0.01])
 DARK = Drive.constant(np.array(0.0))
 
@@ -37,13 +38,13 @@ def seconds(device: Device, work: Callable[[], None]) -> float:
     return time.perf_counter() - start
 
 
-def medians(device: Device, works: dict[str, Callable[[], None]]) -> dict[str, float]:
-    """Return the median time of each in s."""
+def in_turns(device: Device, works: dict[str, Callable[[], None]]) -> dict[str, list[float]]:
+    """Return the times of each in s, after those of the warm-up."""
     times: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(RUNS + WARM_UP):
         for name, work in works.items():
             times[name].append(seconds(device, work))
-    return {name: median(taken[WARM_UP:]) for name, taken in times.items()}
+    return {name: taken[WARM_UP:] for name, taken in times.items()}
 
 
 def measure(device: Device, solver: str, state_format: str, texels: int) -> None:
@@ -51,25 +52,27 @@ def measure(device: Device, solver: str, state_format: str, texels: int) -> None
     a, r0 = rng.uniform(0, 1, (2, texels, texels, 2))
     with device.scope():
         state = BareState(device, KR, a, solver, state_format, r0)
-        took = medians(
+        took = in_turns(
             device,
             {
                 "copy": state.copy,
-                "lit": lambda: state.advance(STEP_S, STEADY),
+                "frame": lambda: state.advance(STEP_S, STEADY),
                 "dark": lambda: state.advance(STEP_S, DARK),
-            },
+            }
+            | ({"jump": lambda: state.advance(JUMP_S, STEADY)} if SOLVERS[solver].closed_form else {}),
         )
-    copy, lit, dark = (took[name] * 1e3 for name in ("copy", "lit", "dark"))
-    print(
-        f"{solver:8} {state_format:8} {state.bytes_per_texel:6} {copy:9.2f} {lit:9.2f} {lit / copy:6.2f}"
-        f" {dark:9.2f} {dark / copy:6.2f}"
+    copy = took.pop("copy")
+    ratios = "".join(
+        f"{name:>8} {median(t / c for t, c in zip(taken, copy, strict=True)):5.2f}"
+        for name, taken in took.items()
     )
+    print(f"{solver:8} {state_format:8} {state.bytes_per_texel:6} {median(copy) * 1e3:9.2f}{ratios}")
 
 
 def main(texels: int = 2048) -> None:
     with Device() as device:
-        print(f"{device.renderer}, {texels} x {texels} texels, two states; medians of {RUNS}, in ms")
-        print("solver   format   B/texel      copy       lit  ratio      dark  ratio")
+        print(f"{device.renderer}, {texels} x {texels} texels, two states; medians of {RUNS}")
+        print("solver   format   B/texel copy [ms]  ratios to it")
         for state_format in FORMATS:
             for solver in SOLVERS:
                 measure(device, solver, state_format, texels)

@@ -1,4 +1,4 @@
-"""Rig controllers to test with: the firmware under simavr, and the simulated one, each a process on a pseudo-terminal."""
+"""Rig controllers to test with: firmware under simavr, and the simulated one, each on a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
 
-import phoslab
 import pytest
+
+import phoslab
+from phoslab.instruments.devices import DeviceError
 
 HERE = Path(__file__).parent
 SIMAVR_PACKAGES = "gcc-avr avr-libc simavr libsimavr-dev libelf-dev gcc make"
@@ -42,6 +45,8 @@ class BoardProcess:
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, env=same_phoslab()
         )
+        self.kind = ""
+        self.pid = self._process.pid
         self.port = str(link)
         self.paths: list[str] = []
         self.pins: list[Pin] = []
@@ -71,8 +76,7 @@ class BoardProcess:
                     self._done.append(rest)
                 self._changed.notify_all()
 
-    def _wait(self, condition: object, what: str, timeout_s: float = 10.0) -> None:
-        assert callable(condition)
+    def _wait(self, condition: Callable[[], bool], what: str, timeout_s: float = 10.0) -> None:
         with self._changed:
             assert self._changed.wait_for(condition, timeout_s), f"no sign of {what} within {timeout_s:g} s"
 
@@ -101,6 +105,11 @@ class BoardProcess:
         pin = found()
         assert pin is not None
         return pin
+
+    def now_s(self) -> float:
+        """The board's clock, which a slow machine slows as well: how long something took must be asked of it."""
+        self.do("time")
+        return next(pin.board_us for pin in reversed(self.pins) if pin.name == "time") * 1e-6
 
     def level(self, name: str) -> int:
         """The output as it is."""
@@ -151,9 +160,22 @@ def _run(*command: str) -> str:
 SIMULATED = [sys.executable, str(HERE / "simulated_board.py")]
 
 
-def eventually(condition: object, timeout_s: float = 5.0) -> bool:
+def raises_soon(call: Callable[[], object], match: str, timeout_s: float = 8.0) -> DeviceError:
+    """Call again and again until it raises a DeviceError, as it must; return that."""
+
+    def repeat() -> None:
+        end = time.monotonic() + timeout_s
+        while time.monotonic() < end:
+            call()
+            time.sleep(0.01)
+
+    with pytest.raises(DeviceError, match=match) as raised:
+        repeat()
+    return raised.value
+
+
+def eventually(condition: Callable[[], object], timeout_s: float = 5.0) -> bool:
     """Wait until `condition()` holds; return whether it came to hold."""
-    assert callable(condition)
     end = time.monotonic() + timeout_s
     while time.monotonic() < end:
         if condition():

@@ -219,6 +219,7 @@ static void obey(char *line, uint32_t hang_address) {
     else if (!strcmp(line, "plug")) plug();
     else if (!strcmp(line, "reset")) avr_reset(avr), avr->data[0x54] = 1 << 1; /* MCUSR: EXTRF */
     else if (!strcmp(line, "hang")) avr->pc = hang_address;
+    else if (!strcmp(line, "time")) pin("time", 0);
     else if (!strcmp(line, "pulse")) say("pulse %llu", (unsigned long long)pulse_us);
     else exit(2);
     say("done %s", line);

@@ -92,6 +92,8 @@ def obey(words: list[str], board: SpokenBoard, controller: SimulatedController, 
             line.plug()
         case ["reset"]:
             controller.reset("EXTERNAL")
+        case ["time"]:
+            say(f"pin time 0 {time.monotonic():.6f} {board.clock_us()}")
         case ["hang"]:
             time.sleep(0.25)
             controller.reset("WATCHDOG")

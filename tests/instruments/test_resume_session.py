@@ -162,9 +162,9 @@ def test_a_second_process_is_refused_by_the_pid_of_the_first_until_that_dies(fol
 
 
 def test_the_writer_of_a_new_session_holds_it(tmp_path: Path) -> None:
-    with Recorder(tmp_path / "s", HEADER, SimulatedClock()):
-        with pytest.raises(PhoslabError, match=f"in use by process {os.getpid()}"):
-            Recorder.resume(tmp_path / "s", SimulatedClock())
+    held = pytest.raises(PhoslabError, match=f"in use by process {os.getpid()}")
+    with Recorder(tmp_path / "s", HEADER, SimulatedClock()), held:
+        Recorder.resume(tmp_path / "s", SimulatedClock())
     with pytest.raises(PhoslabError, match="is complete"):
         Recorder.resume(tmp_path / "s", SimulatedClock())
 

@@ -9,7 +9,7 @@ from phoslab import solvers
 from phoslab.programmes import Sine, Sweep, mean
 from phoslab.render.bare_state import BareState
 from phoslab.render.device import Device
-from phoslab.render.solvers import SOLVERS
+from phoslab.render.solvers import SHORT, SOLVERS
 from phoslab.solvers import EXPLICIT_LIMIT, Drive
 
 U = 2.0**-24  # half a unit in the last place of a float32 near 1
@@ -61,6 +61,29 @@ def test_a_step_is_that_of_the_float64_namesake(device, solver, n_states):
         state.advance(dt)
         error = np.abs(state.read() - texel_by_texel(solver, r, a, kr, dt)).max(axis=-1)
         assert (error <= error_bound(solver, a + kr, dt)).all()
+
+
+@pytest.mark.parametrize("share", [1e-6, 1e-3, 0.5, 1.0, 1.01])
+def test_charging_from_nothing_keeps_its_digits_on_either_side_of_the_short_step(device, share):
+    """Relative to what is gained, not to 1: an increment that is small must not be wrong.
+
+    dt times a factor, their product with a, and the sum with kr dt round (3 U); 1 minus a term of at most 1/16 rounds
+    (1.1 U), the product with a dt once more (U), and the polynomial errs by 0.3 U: 5.4 U. The longer step's exponential
+    is good to 3 U, its quotient and two products add as many.
+    """
+    dt = SHORT * share / 2.5  # of the largest a + kr
+    a = np.linspace(0.01, 2.0, SIDE * SIDE).reshape(SIDE, SIDE, 1).astype("f4").astype("f8")
+    state = BareState(device, [0.5], a, "exact")
+    state.advance(dt)
+    want = solvers.exact_step(np.zeros(1), a, np.array([0.5]), np.array(dt))
+    assert np.abs(state.read() / want - 1).max() <= (5.4 if share <= 1 else 8) * U
+
+
+def test_what_is_short_is_told_by_the_largest_rate_of_all():
+    exact = SOLVERS["exact"]
+    assert exact.include_for(SHORT) == exact.short != exact.include_for(1.001 * SHORT)
+    assert exact.include_for(np.inf) == exact.include
+    assert SOLVERS["euler"].include_for(0.0) == SOLVERS["euler"].include
 
 
 @pytest.mark.parametrize("solver", ["substep", "rk23"])
@@ -175,7 +198,7 @@ def test_time_that_runs_backwards_is_refused(device, refuses, dt):
 @pytest.mark.parametrize("name", ["magic", "dop853"])
 def test_a_solver_that_the_gpu_has_not_names_those_that_it_has(device, refuses, name):
     message = refuses(BareState, device, [1.0], np.ones((2, 2, 1)), name)
-    assert f"{name!r} is unknown to the renderer" in message
+    assert f"the renderer's solver {name!r} is unknown" in message
     assert "euler, substep, exact, exact2, rk23" in message
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise, product
@@ -25,6 +25,8 @@ from phoslab.solvers import Drive
 
 Array = NDArray[np.float64]
 
+DARK = Drive.constant(np.array(0.0))
+
 # Spacing of each format's numbers near 1; a step rounds a few times in float32 and once more when it is stored.
 RESOLUTION = {"f32": 4 * 2.0**-24, "f16": 2.0**-11, "unorm16": 1 / 65535, "f32c": 4 * 2.0**-24}
 
@@ -35,8 +37,10 @@ class StepCost:
 
     Args:
         bytes_per_texel: of the state, two states.
-        ns: of a step a texel, the median.
-        over_copy: to a pass with the same reads and writes and no arithmetic, timed in turns with it.
+        ns: of a step of 1/60 s a texel, the median.
+        over_copy: of that to a pass with the same reads and writes and no arithmetic, timed in turns with it.
+        jump_over_copy: the same of a step of a minute; None for a solver that would take many.
+        dark_over_copy: the same of a step of 1/60 s without light.
         error: of the glow after 20 s of 60 Hz steps under switched light, as in `precision`.
     """
 
@@ -45,6 +49,8 @@ class StepCost:
     bytes_per_texel: int
     ns: float
     over_copy: float
+    jump_over_copy: float | None
+    dark_over_copy: float
     error: float
 
 
@@ -56,7 +62,14 @@ def costs(device: Device, side: int, repeats: int) -> Iterator[StepCost]:
     for solver, state_format in product(SOLVERS, FORMATS):
         with device.scope():
             state = BareState(device, KR, a, solver, state_format, 0.5)
-            stepped, copied = _in_turns(device, (partial(state.advance, 1 / 60), state.copy), repeats)
+            works: list[Callable[[], None]] = [
+                state.copy,
+                partial(state.advance, 1 / 60),
+                partial(state.advance, 1 / 60, DARK),
+            ]
+            if SOLVERS[solver].closed_form:
+                works.append(partial(state.advance, 60.0))
+            took, ratios = _in_turns(device, works, repeats)
         with device.scope():
             states = _march(
                 device, switched, solver, state_format, n=150
@@ -65,8 +78,10 @@ def costs(device: Device, side: int, repeats: int) -> Iterator[StepCost]:
             solver,
             state_format,
             FORMATS[state_format].bytes_per_texel(KR.size),
-            stepped * 1e9 / side**2,
-            stepped / copied,
+            took[1] * 1e9 / side**2,
+            ratios[1],
+            ratios[3] if SOLVERS[solver].closed_form else None,
+            ratios[2],
             precision.error(precision.glow(states), truth),
         )
 
@@ -91,25 +106,19 @@ def work_precision(device: Device, problem: Problem, finest: int) -> Iterator[Po
             yield Point(solver, setting, precision.error(precision.glow(states), truth), ns, 1.0, steps)
 
 
-def over_hours(device: Device, hours: float) -> Iterator[HoursError]:
-    """Yield what each format makes of a slow material in 60 Hz steps, and the default in one step."""
-    n = round(hours * 3600 / DT)
-    for lit in (True, False):
+def over_hours(device: Device, hours: float, *, anchored: bool) -> Iterator[HoursError]:
+    """Yield what becomes of a slow material: in one step in the default format; or in 60 Hz steps in each."""
+    for lit, state_format in product((True, False), ("f32",) if anchored else FORMATS):
         a, r0 = (CHARGING, 0.0) if lit else (0.0, 1.0)
-        light = np.full((1, 1, 1), a)
-        for name, state_format in (
-            ("f32, anchored (the default)", "f32"),
-            *((f"{f}, stepped", f) for f in FORMATS),
-        ):
-            with device.scope():
-                state = BareState(device, [SLOW_KR], light, "exact", state_format, r0)
-                if name.startswith("f32, anchored"):
-                    state.advance(hours * 3600)
-                else:
-                    state.advance_many(DT, n)
-                yield HoursError(
-                    name, hours, lit, relative_error(float(state.read()[0, 0, 0]), hours, lit=lit)
-                )
+        with device.scope():
+            state = BareState(device, [SLOW_KR], np.full((1, 1, 1), a), "exact", state_format, r0)
+            if anchored:
+                state.advance(hours * 3600)
+            else:
+                state.advance_many(DT, round(hours * 3600 / DT))
+            error = relative_error(float(state.read()[0, 0, 0]), hours, lit=lit)
+        name = f"{state_format}, anchored (the default)" if anchored else f"{state_format}, stepped"
+        yield HoursError(name, hours, lit, error)
 
 
 def in_texture(device: Device, state_format: str) -> Stepper:
@@ -148,14 +157,22 @@ def _factors(problem: Problem, start: float, stop: float) -> Drive:
     )
 
 
-def _in_turns(device: Device, works: tuple[Callable[[], None], ...], repeats: int) -> list[float]:
-    """Return the median time of each in s, taken in turns, so that a busy machine slows all alike."""
-    times: list[list[float]] = [[] for _ in works]
-    for _ in range(repeats + 1):
-        for taken, work in zip(times, works, strict=True):
+def _in_turns(
+    device: Device, works: Sequence[Callable[[], None]], repeats: int
+) -> tuple[list[float], list[float]]:
+    """Take turns at all works.
+
+    Returns:
+        The median time of each in s, and the median ratio of each to the first in the same turn: of these a busy
+        machine, which slows a whole turn, changes little.
+    """
+    times = np.empty((repeats + 1, len(works)))
+    for turn in times:
+        for k, work in enumerate(works):
             device.ctx.finish()
             begin = time.perf_counter()
             work()
             device.ctx.finish()
-            taken.append(time.perf_counter() - begin)
-    return [float(np.median(taken[1:])) for taken in times]
+            turn[k] = time.perf_counter() - begin
+    counted = times[1:]
+    return np.median(counted, axis=0).tolist(), np.median(counted / counted[:, :1], axis=0).tolist()

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phoslab import __version__
+from phoslab import __version__, schemas
 from phoslab.app.figures import svg
 from phoslab.files import write_text
+from phoslab.trades import SCHEMA
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-SCHEMA = "phoslab-trade/1"
 
 
 @dataclass(frozen=True)
@@ -97,6 +96,7 @@ def write_trade(
         "phoslab": __version__,
         "machine": machine() | ({"gl": gl} if gl else {}),
     }
+    schemas.check({**about, **data}, "trade-1", file=written[-1])
     write_text(written[-1], json.dumps({**about, **data}, indent=1, allow_nan=False) + "\n")
     environment = Environment(
         loader=PackageLoader("phoslab.app.trades", "."),

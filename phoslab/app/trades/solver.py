@@ -31,7 +31,8 @@ def measure(folder: Path, *, quick: bool, progress: Progress) -> tuple[list[str]
         costs = list(on_gpu.costs(device, 512 if quick else 2048, 5 if quick else 20))
         drawn = [p for p in work if p.strength == solver_page.STRONG and p.name in solver_page.DRAWN_ON_GPU]
         on_textures = [Measured(p, list(on_gpu.work_precision(device, p, 7 if quick else 10))) for p in drawn]
-        in_formats = list(on_gpu.over_hours(device, 0.02 if quick else 1.0))
+        in_formats = [e for h in (1.0, 24.0) for e in on_gpu.over_hours(device, h, anchored=True)]
+        in_formats += on_gpu.over_hours(device, 0.02 if quick else 1.0, anchored=False)
         formats = [
             extremes.judge(name, f, on_gpu.in_texture(device, f), on_gpu.RESOLUTION[f])
             for f in FORMATS

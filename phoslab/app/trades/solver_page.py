@@ -127,16 +127,31 @@ def texture_section(costs: Sequence[StepCost], measured: Sequence[Measured]) -> 
         "bytes a texel",
         "ns a texel",
         "over a copy",
+        "jump over a copy",
+        "dark over a copy",
         "error, switched light, 60 Hz",
     )
-    rows = [(c.solver, c.state_format, c.bytes_per_texel, c.ns, c.over_copy, c.error) for c in costs]
+    rows = [
+        (
+            c.solver,
+            c.state_format,
+            c.bytes_per_texel,
+            c.ns,
+            c.over_copy,
+            c.jump_over_copy,
+            c.dark_over_copy,
+            c.error,
+        )
+        for c in costs
+    ]
     return Section(
         "What does a step cost on textures?",
         [
             "The renderer's solvers in GLSL, on textures of two states in each format: float32, float16, 16-bit "
             "normalised, and float32 that keeps what its rounding lost (f32c). “Over a copy” is the time of a step "
-            "over that of a pass that reads and writes the same and computes nothing. The error is that of 60 Hz "
-            "steps over 20 s of switched light: 16-bit formats round away what a frame changes.",
+            "of 1/60 s over that of a pass that reads and writes the same and computes nothing; a “jump” is a step of "
+            "a minute in closed form, “dark” one of 1/60 s without light. The error is that of 60 Hz steps "
+            "over 20 s of switched light: 16-bit formats round away what a frame changes.",
         ],
         [
             Table("steps", "One step of 1/60 s.", columns, rows),

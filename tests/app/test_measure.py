@@ -1,0 +1,466 @@
+"""`phoslab measure` and `phoslab resume` on the simulated bench: the drivers, plans and recorder of a real rig, run as
+a user runs them, with everything going wrong that can."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import phoslab
+from phoslab.app import cli
+from phoslab.instruments.devices import DeviceGoneError
+from phoslab.instruments.simulated import Link
+from phoslab.session import Session
+
+SHORT = ("--charge", "30", "--until", "20", "--darks", "1")
+"""A decay of 5 frames on the grid. With the trial frame of the camera, those of the warm-up and the metering, its
+10th exposure is in the charge and its 17th in the decay."""
+
+
+def measure(folder: Path, *arguments: str) -> int:
+    return cli.main(["measure", "decay", "--simulate", "green", "-o", str(folder), *SHORT, *arguments])
+
+
+def in_a_process(*arguments: str | Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "phoslab", *map(str, arguments)],
+        cwd=Path(phoslab.__file__).parent.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def decay_in_a_process(folder: Path, *more: str) -> subprocess.Popen[str]:
+    return in_a_process("measure", "decay", "--simulate", "green", "-o", folder, *SHORT, *more)
+
+
+def lines(folder: Path) -> list[dict[str, Any]]:
+    """The whole lines of a journal that may be growing."""
+    path = folder / "journal.jsonl"
+    return [json.loads(text) for text in path.read_bytes().split(b"\n")[:-1]] if path.exists() else []
+
+
+def wait_for(folder: Path, happened: Callable[[list[dict[str, Any]]], bool]) -> None:
+    end = time.monotonic() + 60
+    while not happened(lines(folder)):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def lamp_is_on(journal: list[dict[str, Any]]) -> bool:
+    edges = [e["to"] for e in journal if e["event"] == "edge" and e["device"] == "lamp"]
+    return edges[-1:] == ["on"]
+
+
+def frames(folder: Path) -> dict[str, str]:
+    return {e["frame"]: e["sha256"] for e in lines(folder) if e["event"] == "exposure"}
+
+
+def on_disk(folder: Path) -> dict[str, str]:
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in (folder / "frames").iterdir()}
+
+
+def fits(folder: Path) -> None:
+    assert cli.main(["fit", str(folder), "--preset", "green", "-o", str(folder.parent / "m.json")]) == 0
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A decay session in which nothing went wrong."""
+    folder = tmp_path_factory.mktemp("whole") / "s"
+    assert measure(folder, "--seed", "7") == 0
+    return folder
+
+
+# ---- what a session holds
+
+
+def test_a_session_is_whole_and_says_that_it_was_simulated(whole: Path) -> None:
+    session = Session.open(whole)
+    assert session.complete
+    assert session.warnings == ()
+    assert session.header.simulated is not None
+    assert session.header.simulated["seed"] == 7
+    assert session.header.parameters["until_s"] == 20
+    assert len([f for f in session.frames if f.role == "decay"]) >= 5
+
+
+def test_it_goes_through_fit(whole: Path) -> None:
+    fits(whole)
+
+
+def test_the_lamp_is_off_before_the_door_opens_and_each_frame_has_both_clocks(whole: Path) -> None:
+    session = Session.open(whole)
+    off_s = session.lamp_off_s
+    assert off_s is not None
+    opened = [e for e in session.edges_of("door") if e.to == "open"][-1]
+    # The plan waits for the lamp's fade, 0.32 s, and the door takes 0.28 s with a jitter of some ms.
+    assert opened.at_s - off_s > 0.5
+    decay = session.frames_of("decay")
+    assert all(f.start_s > opened.at_s for f in decay)
+    # Controller and host clocks differ by an offset and 20 ppm: over a session of minutes the offset holds to 10 ms,
+    # and the mapping to some more.
+    offsets = [f.device_s - f.start_s for f in session.frames if f.device_s is not None]
+    assert len(offsets) == len(session.frames)
+    assert max(offsets) - min(offsets) < 0.05
+
+
+def test_its_last_line_says_how_well_planned_instants_were_met(whole: Path) -> None:
+    last = lines(whole)[-1]
+    assert (last["event"], last["reason"]) == ("end", "complete")
+    assert last["summary"]["planned"] == 5
+    assert last["summary"]["frames"] == len(frames(whole))
+    planned = [e for e in lines(whole) if "planned_mono_s" in e]
+    worst = max((e["at_mono_s"] - e["planned_mono_s"] for e in planned), key=abs)
+    assert last["summary"]["deviation_worst_s"] == pytest.approx(worst, abs=2e-6)
+
+
+def test_json_is_one_object_with_the_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert measure(tmp_path / "s", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["complete"] is True
+    assert told["sessions"][0]["planned"] == 5
+
+
+# ---- what is refused before anything is opened
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("measure decay --simulate green -o {full}", "already exists"),
+        ("measure decay --simulate mauve -o {new}", "'mauve', which is no preset"),
+        ("measure decay --rig {new}/none.toml -o {new}", "Name a rig file"),
+        ("measure decay --rig {rig} -o {new} --seed 3", "simulated bench"),
+        ("measure all --simulate green -o {new} --set decay.colour=3", "no parameter 'colour'"),
+        ("measure all --simulate green -o {new} --set sing.loud=3", "no plan"),
+        ("measure all --simulate green -o {new} --only decay --set flats.levels=3", "no plan"),
+        ("measure decay --simulate green -o {new} --charge 50000", "without a break"),
+        ("measure decay --rig {rig} -o {new}", "is not there (usb:ffff:0001)"),
+        ("measure decay --simulate green -o {new} --fault rain@3", "names no fault"),
+        ("resume {full}", "is missing"),
+        ("resume {new}", "does not exist"),
+    ],
+)
+def test_what_cannot_work_is_refused_with_nothing_left_behind(
+    arguments: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    full, new, rig = tmp_path / "full", tmp_path / "new", tmp_path / "rig.toml"
+    full.mkdir()
+    (full / "note.txt").write_text("mine")
+    rig.write_text(
+        'schema = "phoslab-rig/1"\nname = "r"\n'
+        '[lamp]\ndriver = "controller"\nport = "usb:ffff:0001"\n'
+        '[door]\ndriver = "hand"\n'
+        f'[camera]\ndriver = "drop-folder"\nfolder = "{full}"\nexposures_s = [1]\nisos = [100]\n'
+    )
+    assert cli.main([word.format(full=full, new=new, rig=rig) for word in arguments.split()]) == 1
+    assert said in capsys.readouterr().err
+    assert [p.name for p in full.iterdir()] == ["note.txt"]
+    assert not new.exists()
+
+
+@pytest.mark.parametrize("arguments", ["--colour 3", "--until x", "--until 0", "--spacing odd"])
+def test_an_unknown_parameter_or_value_is_bad_usage(arguments: str, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as caught:
+        measure(tmp_path / "s", *arguments.split())
+    assert caught.value.code == 2
+
+
+def test_a_plan_that_does_not_fit_on_the_disk_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 5_000_000})())
+    assert measure(tmp_path / "s") == 1
+    assert "frames need" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_dry_run_prints_the_time_line_and_opens_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process was started"))
+    assert measure(tmp_path / "s", "--dry-run", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["frames"]["decay"] == 5
+    # Charge, its quarter again after metering, a trial, at most a warm-up of 15 min, 20 s of decay, two hands.
+    assert 30 + 20 < told["duration_s"] < 900 + 38 + 60 + 20 + 120
+    assert not (tmp_path / "s").exists()
+
+
+# ---- what goes wrong while it runs
+
+
+@pytest.mark.parametrize(
+    ("fault", "missed"),
+    [
+        ("camera-busy@17", 0),
+        ("camera-gone@17", 1),
+        ("card-full@17", 0),
+        ("truncated-download@17", 0),
+        ("late-shutter@17", 0),
+        ("serial-unplug@17", 0),
+        ("garbled-ack@17", 0),
+        ("lost-ack@17", 0),
+        ("controller-reset@17", 0),
+        ("clock-step@17", 0),
+    ],
+)
+def test_a_decay_survives(fault: str, missed: int, tmp_path: Path) -> None:
+    """At most the frame during which it happened is missing; the session is whole, and fits."""
+    assert measure(tmp_path / "s", "--fault", fault) == 0
+    session = Session.open(tmp_path / "s")
+    assert session.complete
+    planned = [e for e in lines(tmp_path / "s") if "planned_mono_s" in e]
+    assert 5 - missed <= len(planned) <= 5
+    parts = [e["arguments"] for e in lines(tmp_path / "s") if e["event"] == "command" and e["name"] == "part"]
+    assert [p["attempt"] for p in parts] == [1, 1]
+    assert frames(tmp_path / "s") == on_disk(tmp_path / "s")
+    if fault == "late-shutter@17":
+        assert lines(tmp_path / "s")[-1]["summary"]["deviation_worst_s"] == pytest.approx(0.7, abs=0.1)
+    if fault == "clock-step@17":
+        assert any("wall clock jumped" in w for w in session.warnings)
+    fits(tmp_path / "s")
+
+
+@pytest.mark.parametrize("fault", ["controller-reset@6", "serial-unplug@6"])
+def test_a_part_whose_lamp_went_out_begins_again_and_the_first_attempt_is_kept(
+    fault: str, tmp_path: Path
+) -> None:
+    assert measure(tmp_path / "s", "--fault", fault) == 0
+    session = Session.open(tmp_path / "s")
+    parts = [e["arguments"] for e in lines(tmp_path / "s") if e["event"] == "command" and e["name"] == "part"]
+    assert [(p["part"], p["attempt"]) for p in parts] == [
+        ("charge and decay", 1),
+        ("charge and decay", 2),
+        ("dark frames", 1),
+    ]
+    assert session.complete
+    fits(tmp_path / "s")
+
+
+def test_a_stuck_relay_stops_everything_and_is_said_loudly(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert measure(tmp_path / "s", "--fault", "stuck-relay@1") == 1
+    told = capsys.readouterr().err
+    assert "SHINES ALTHOUGH IT IS SWITCHED OFF" in told
+    assert "Pull the lamp's plug" in told
+    parts = [e for e in lines(tmp_path / "s") if e["event"] == "command" and e["name"] == "part"]
+    assert len(parts) == 1  # not begun again
+    assert not Session.open(tmp_path / "s").complete
+
+
+def test_a_stuck_door_stops_the_plan_and_names_the_door(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert measure(tmp_path / "s", "--fault", "stuck-door@17") == 1
+    told = capsys.readouterr().err
+    assert "door did not become closed" in told
+    assert f"phoslab resume {tmp_path / 's'}" in told
+    assert not lamp_is_on(lines(tmp_path / "s"))
+
+
+def test_a_disk_that_fills_up_stops_the_plan_and_a_resume_completes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The file system itself refuses a frame in its middle."""
+    from phoslab.instruments.cameras.simulated import SimulatedCamera
+
+    fetch, n_fetched = SimulatedCamera._fetch, 0
+
+    def full(self: SimulatedCamera, path: Path) -> None:
+        nonlocal n_fetched
+        n_fetched += 1
+        fetch(self, path)
+        if n_fetched == 10:
+            os.truncate(path, 1000)
+            raise OSError(28, "No space left on device", str(path))
+
+    with monkeypatch.context() as filling:
+        filling.setattr(SimulatedCamera, "_fetch", full)
+        assert measure(tmp_path / "s") == 1
+    told = capsys.readouterr().err
+    assert "No space left on device" in told
+    assert "Make room" in told
+    before = frames(tmp_path / "s")
+    assert before == on_disk(tmp_path / "s")
+    assert cli.main(["resume", str(tmp_path / "s")]) == 0
+    assert before.items() <= frames(tmp_path / "s").items()
+    fits(tmp_path / "s")
+
+
+# ---- how it ends, and goes on
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_the_lamp_off_and_the_session_interrupted(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    process = decay_in_a_process(tmp_path / "s")
+    wait_for(tmp_path / "s", lamp_is_on)
+    process.send_signal(number)
+    told, _ = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert f"phoslab resume {tmp_path / 's'}" in told
+    journal = lines(tmp_path / "s")
+    assert not lamp_is_on(journal)
+    assert (journal[-1]["event"], journal[-1]["reason"]) == ("end", "interrupted")
+    assert frames(tmp_path / "s") == on_disk(tmp_path / "s")
+
+
+def test_the_lamp_goes_off_by_itself_when_the_program_is_killed_and_a_resume_completes_the_session(
+    tmp_path: Path,
+) -> None:
+    process = decay_in_a_process(tmp_path / "s")
+    wait_for(tmp_path / "s", lambda journal: lamp_is_on(journal) and bool(frames(tmp_path / "s")))
+    socket = Path(Session.open(tmp_path / "s").header.rig["camera"]["port"])
+    bench = Link(socket)
+    assert bench.ask("state")["current"] is True
+    process.kill()
+    killed = time.monotonic()
+    process.communicate(timeout=60)
+    while bench.ask("state")["current"]:
+        # The controller's watchdog waits for 2 s; half a second is for what is on its way.
+        assert time.monotonic() - killed < 2.5
+        time.sleep(0.02)
+    bench.close()
+    before = frames(tmp_path / "s")
+    assert cli.main(["resume", str(tmp_path / "s")]) == 0
+    session = Session.open(tmp_path / "s")
+    assert session.complete
+    assert before.items() <= frames(tmp_path / "s").items()
+    assert frames(tmp_path / "s") == on_disk(tmp_path / "s")
+    parts = [e["arguments"] for e in lines(tmp_path / "s") if e["event"] == "command" and e["name"] == "part"]
+    assert [p["attempt"] for p in parts] == [1, 2, 1]
+    fits(tmp_path / "s")
+
+
+def test_a_second_process_is_refused_and_disturbs_nothing(tmp_path: Path) -> None:
+    first = decay_in_a_process(tmp_path / "s")
+    wait_for(tmp_path / "s", lamp_is_on)
+    second = in_a_process("resume", tmp_path / "s")
+    told, _ = second.communicate(timeout=60)
+    assert second.returncode == 1
+    assert f"in use by process {first.pid}" in told
+    first.communicate(timeout=120)
+    assert first.returncode == 0
+    assert Session.open(tmp_path / "s").complete
+
+
+def test_a_complete_session_is_not_measured_again(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (whole / "journal.jsonl").read_bytes()
+    assert cli.main(["resume", str(whole)]) == 1
+    assert "is complete" in capsys.readouterr().err
+    assert (whole / "journal.jsonl").read_bytes() == before
+
+
+ALL = (
+    *("--only", "lvf,decay,excitation"),
+    *("--set", "lvf.filters=L002,L201", "--set", "lvf.darks=1"),
+    *("--set", "decay.charge_s=30", "--set", "decay.until_s=10", "--set", "decay.darks=1"),
+    *("--set", "excitation.dark_s=600", "--set", "excitation.last_s=4", "--set", "excitation.between=0"),
+    *("--set", "excitation.darks=1"),
+)
+
+
+def test_measure_all_killed_at_any_moment_and_resumed_loses_and_overwrites_nothing(tmp_path: Path) -> None:
+    """Five kills between moments that the journal shows; tests/benchmarks/kill_and_resume.py makes fifty at random."""
+    folder = tmp_path / "all"
+    kept: dict[tuple[str, str], str] = {}
+    command: tuple[str | Path, ...] = ("measure", "all", "--simulate", "green", "-o", folder, *ALL)
+    n_lines = 0
+    for _ in range(5):
+        process = in_a_process(*command)
+        end = time.monotonic() + 60
+        # Some more lines than there were; which one is being written then is chance.
+        while process.poll() is None and total(folder) < n_lines + 37 and time.monotonic() < end:
+            time.sleep(0.002)
+        process.kill()
+        process.communicate(timeout=60)
+        command = ("resume", folder)
+        n_lines = total(folder)
+        keep(folder, kept)
+    assert n_lines > 5 * 30
+    last = in_a_process(*command)
+    told, _ = last.communicate(timeout=240)
+    assert last.returncode == 0, told
+    keep(folder, kept)
+    sessions = [Session.open(folder / name) for name in ("01-lvf", "02-decay", "03-excitation")]
+    assert all(s.complete for s in sessions)
+    for session in sessions:
+        begun = [e.fields["arguments"] for e in session.events if e.fields.get("name") == "part"]
+        done = {e.fields["command"] for e in session.events if e.event == "ack" and e.fields["ok"]}
+        finished = [
+            e.fields["arguments"]["part"]
+            for e in session.events
+            if e.fields.get("name") == "part" and e.seq in done
+        ]
+        assert len(finished) == len(set(finished)), "a finished part was done again"
+        assert {b["part"] for b in begun} == set(finished)
+    roles = {f.role for f in sessions[0].frames}
+    assert {"mercury", "led", "filter:L002", "filter:L201", "dark"} <= roles
+    fits(folder / "02-decay")
+
+
+def total(folder: Path) -> int:
+    return sum(p.read_bytes().count(b"\n") for p in folder.glob("*/journal.jsonl"))
+
+
+def keep(folder: Path, kept: dict[tuple[str, str], str]) -> None:
+    """Every frame that was ever acknowledged is there, with the content that it had."""
+    for session in folder.glob("[0-9]*"):
+        for name, digest in frames(session).items():
+            assert kept.setdefault((session.name, name), digest) == digest
+    for (session_name, name), digest in kept.items():
+        assert hashlib.sha256((folder / session_name / "frames" / name).read_bytes()).hexdigest() == digest
+
+
+def test_an_excitation_series_goes_on_at_the_next_time_after_a_rest_in_the_dark(tmp_path: Path) -> None:
+    folder = tmp_path / "s"
+    arguments = ("--dark", "1000", "--last", "8", "--between", "0", "--darks", "1")
+    process = in_a_process("measure", "excitation", "--simulate", "green", "-o", folder, *arguments)
+
+    def third_is_lit(journal: list[dict[str, Any]]) -> bool:
+        begun = [e["arguments"]["part"] for e in journal if e["event"] == "command" and e["name"] == "part"]
+        return begun[-1:] == ["4 s of light"]
+
+    wait_for(folder, third_is_lit)
+    process.kill()
+    process.communicate(timeout=60)
+    assert cli.main(["resume", str(folder)]) == 0
+    session = Session.open(folder)
+    (resumed,) = (e for e in session.events if e.event == "resume")
+    begun = [
+        (e.fields["arguments"]["part"], e.fields["arguments"]["attempt"])
+        for e in session.events
+        if e.fields.get("name") == "part"
+    ]
+    assert begun[:4] == [("1 s of light", 1), ("2 s of light", 1), ("4 s of light", 1), ("4 s of light", 2)]
+    lit_again = min(e.at_s for e in session.edges_of("lamp") if e.to == "on" and e.at_s > resumed.mono_s)
+    assert lit_again - resumed.mono_s >= 1000
+
+
+@pytest.fixture(autouse=True)
+def no_bench_is_left(tmp_path: Path) -> Iterator[None]:
+    """Benches of killed hosts end by themselves; stop them here rather than let them linger."""
+    yield
+    for file in tmp_path.rglob("session.toml"):
+        try:
+            socket = Path(Session.open(file.parent).header.rig["camera"]["port"])
+            Link(socket).close()
+            told = json.loads((socket.parent / "endpoints.json").read_text())
+            os.kill(int(told["pid"]), signal.SIGTERM)
+        except (DeviceGoneError, KeyError, OSError, phoslab.errors.PhoslabError):
+            continue

@@ -1,0 +1,179 @@
+"""`phoslab measure decay --rig` with every kind of lamp and camera driver, in real time; each session goes through
+`phoslab fit` without a special case.
+
+The boards run on pseudo-terminals, the cameras are the virtual PTP camera of the gphoto2 wheel and a vendor's software
+that writes files. What they see is a disc that fades exponentially after the board's lamp went off.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from boards import HERE, SIMULATED, BoardProcess, same_phoslab
+
+from phoslab.instruments.bench.camera import CANON
+from phoslab.instruments.bench.dng import write_dng
+from phoslab.session import Session
+
+RATE_PER_S = 0.4
+EXPOSURE_S = 0.005
+"""One that the virtual camera offers; far shorter than the light takes to change."""
+
+
+class World(threading.Thread):
+    """Writes anew, many times a second, the frame that a camera would take now.
+
+    Args:
+        board: whose lamp it is.
+        file: the frame.
+        session: whose journal tells what the door was told.
+    """
+
+    def __init__(self, board: BoardProcess, file: Path, session: Path) -> None:
+        super().__init__(daemon=True)
+        self._board, self._file, self._journal = board, file, session / "journal.jsonl"
+        self._rng = np.random.default_rng(1)
+        self.ends = False
+        y, x = np.mgrid[: CANON.size[0], : CANON.size[1]]
+        h, w = CANON.size
+        self._disc = (y - h / 2) ** 2 + (x - w / 2) ** 2 < (h / 4) ** 2
+        self.write(0.0)
+
+    def run(self) -> None:
+        while not self.ends:
+            self.write(self._level() if self._door_is_open() else 0.0)
+            time.sleep(0.03)
+
+    def write(self, level: float) -> None:
+        """Write a frame whose disc has this share of full scale."""
+        sensor = CANON.sensor
+        black = np.mean(sensor.black)
+        signal = self._disc * level * (sensor.white - black)
+        # Four electrons a DN, and 2 DN of read noise.
+        values = black + signal + self._rng.normal(0, 1, CANON.size) * np.sqrt(signal / 4 + 4)
+        beside = self._file.with_suffix(".next")
+        write_dng(
+            beside,
+            np.clip(values, 0, sensor.white).astype(np.uint16),
+            sensor,
+            exposure_s=EXPOSURE_S,
+            iso=100,
+            f_number=2.8,
+            taken="2026:01:15 18:00:00",
+            description="SIMULATED",
+        )
+        beside.replace(self._file)
+
+    def _level(self) -> float:
+        lamp = [pin for pin in list(self._board.pins) if pin.name == "lamp"]
+        if not lamp:
+            return 0.0
+        last = lamp[-1]
+        return 0.5 if last.value else 0.6 * math.exp(-RATE_PER_S * (time.monotonic() - last.mono_s))
+
+    def _door_is_open(self) -> bool:
+        if not self._journal.exists():
+            return False
+        told = [
+            line
+            for line in self._journal.read_text().splitlines()
+            if '"device": "door", "name": "set"' in line
+        ]
+        return bool(told) and json.loads(told[-1])["arguments"]["to"] == "open"
+
+
+@pytest.fixture
+def lamp(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[BoardProcess, str]]:
+    """A running board, and the tables of the rig file for lamp and door on it."""
+    kind = request.param
+    port = f'port = "{tmp_path / "port"}"'
+    if kind in ("lcus-1", "kmtronic"):
+        command = [sys.executable, str(HERE / "relay_board.py"), kind]
+        tables = f'[lamp]\ndriver = "{kind}"\n{port}\naccept_no_failsafe = true\n@[door]\ndriver = "hand"\n'
+    else:
+        command = SIMULATED if kind == "simulated" else request.getfixturevalue("firmware")
+        tables = f'[lamp]\ndriver = "controller"\n{port}\n@[door]\ndriver = "controller"\n{port}\n'
+    board = BoardProcess(command, tmp_path / "port")
+    # The board's lamp fades within a fraction of a second; the boards' clocks are real ones.
+    yield board, tables.replace("@", "warm_up_s = 0\n")
+    board.close()
+
+
+@pytest.mark.parametrize(
+    ("lamp", "camera"),
+    # Lamps and cameras do not know one another: each kind once or twice, not all with all.
+    [
+        ("lcus-1", "drop-folder"),
+        ("kmtronic", "gphoto2"),
+        ("simulated", "gphoto2"),
+        ("firmware", "drop-folder"),
+    ],
+    indirect=["lamp"],
+)
+def test_a_decay_of_every_lamp_and_camera_goes_through_fit(
+    lamp: tuple[BoardProcess, str], camera: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board, tables = lamp
+    session, folder = tmp_path / "s", tmp_path / "frames-come-here"
+    folder.mkdir()
+    world = World(board, folder.parent / "next.jpg", session)
+    if camera == "gphoto2":
+        gphoto2 = pytest.importorskip("gphoto2", reason="the extra phoslab[camera] is not installed")
+        monkeypatch.setenv("VCAMERADIR", str(folder.parent))
+        monkeypatch.setenv("IOLIBS", str(Path(gphoto2.__file__).parent / "libgphoto2" / "vusb"))
+        table = '[camera]\ndriver = "gphoto2"\n'
+    else:
+        software = HERE / "cameras" / "vendor_software.py"
+        command = [sys.executable, str(software), str(world._file), str(folder), "{exposure_s}"]
+        table = f'[camera]\ndriver = "drop-folder"\nfolder = "{folder}"\ncommand = {json.dumps(command)}\n'
+    rig = tmp_path / "rig.toml"
+    rig.write_text(
+        f'schema = "phoslab-rig/1"\nname = "every driver"\n{tables}{table}'
+        f'sensitivities = "Nikon 5100 (NPL)"\nexposures_s = [{EXPOSURE_S}]\nisos = [100]\nf_numbers = [2.8]\n'
+        "frame_MB = 0.2\n"
+    )
+    world.start()
+    plan = ("--charge", "1", "--until", "7", "--interval", "1", "--darks", "1")
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "phoslab", "measure", "decay", "--rig", rig, "-o", session, *plan],
+            input="\n" * 50,
+            env=same_phoslab(),
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+    finally:
+        world.ends = True
+        world.join()
+    assert done.returncode == 0, done.stderr
+    assert board.level("lamp") == 0
+    recorded = Session.open(session)
+    assert recorded.complete
+    assert len(recorded.frames_of("decay")) >= 7
+    fitted = subprocess.run(
+        [
+            *(sys.executable, "-m", "phoslab", "fit", session, "--preset", "green", "--states", "1"),
+            *("-o", tmp_path / "m.json", "--json"),
+        ],
+        env=same_phoslab(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert fitted.returncode == 0, fitted.stderr
+    (rate,) = json.loads(fitted.stdout)["kr_per_s"]
+    # The world writes a frame every 30 ms and more, so a frame shows light of up to some 0.1 s before: on a busy
+    # machine 0.2 s, in turn more or less of it. Over 7 s that tilts the slope by 0.2 / 7.
+    assert rate == pytest.approx(RATE_PER_S, rel=0.06)
