@@ -33,16 +33,16 @@ def re_radiation(fit: DecayFit, spectrum: Array, beta: float) -> tuple[Array, Ar
         spectrum: (n_λ,) the relative spectrum Λ*, largest value 1.
         beta: spectrum to signal, from `match_colour`.
     """
-    per_state = beta * fit.amplitude / fit.kr_per_s
+    per_state = beta * fit.strength / fit.kr_per_s
     emission = per_state[:, None] * spectrum
     n = fit.n_states
     i = np.arange(n)
     log_kr, amplitude = i, fit.n_parameters - n + i
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = (
-            fit.covariance[amplitude, amplitude] / fit.amplitude**2
+            fit.covariance[amplitude, amplitude] / fit.strength**2
             + fit.covariance[log_kr, log_kr]
-            - 2 * fit.covariance[log_kr, amplitude] / fit.amplitude
+            - 2 * fit.covariance[log_kr, amplitude] / fit.strength
         )
         error = emission * np.sqrt(relative)[:, None]
     return emission, error

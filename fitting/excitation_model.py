@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from phoslab.bands import Bands
 from phoslab.fitting.charging import Steps, glow, phi
+from phoslab.fitting.decay import DecayFit
 
 Array = NDArray[np.float64]
 
@@ -48,6 +49,20 @@ class Charge:
     covariance: Array
     steps: Steps
     light: Array
+
+    @classmethod
+    def from_decay(cls, fit: DecayFit, steps: Steps, light: Array) -> Charge:
+        """Return what a decay of one colour says; `steps` and `light` as above."""
+        if not fit.rank_one:
+            raise ValueError("channels with amplitudes of their own have no one brightness")
+        n = fit.n_states
+        first = n + fit.amplitude.shape[1] - 1
+        index = np.concatenate([np.arange(n), first + np.arange(n)])
+        # From (log kr, A) to (log kr, log A).
+        with np.errstate(divide="ignore"):
+            scale = np.concatenate([np.ones(n), 1 / fit.strength])
+        covariance = fit.covariance[np.ix_(index, index)] * np.outer(scale, scale)
+        return cls(fit.kr_per_s, fit.strength, covariance, steps, light)
 
 
 @dataclass(frozen=True, eq=False)

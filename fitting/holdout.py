@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from phoslab.fitting.decay import DecayData, DecayFit, choose, fit_candidates
+from phoslab.fitting.decay import DecayData, DecayFit
+from phoslab.fitting.selection import select
 
 # A prediction may miss a frame by this many standard deviations of the frame's own noise without being wrong.
 NOISE_ALLOWANCE = 3.0
@@ -29,14 +31,13 @@ class HoldOut:
     worst_t_s: float
 
 
-def hold_out(data: DecayData) -> list[HoldOut]:
-    """Fit 1, 2, ... states to every second frame and predict the others. Empty if there are too few frames."""
+def hold_out(data: DecayData, states: Sequence[int] = (1, 2, 3)) -> list[HoldOut]:
+    """Fit each number of states to every second frame and predict the others. Empty if there are too few frames."""
     seen, unseen = data.take(slice(0, None, 2)), data.take(slice(1, None, 2))
     if seen.n_values <= 2 + data.signal.shape[1] or not unseen.n_values:
         return []
-    fits = fit_candidates(seen)
-    chosen = choose(fits)
-    return [_misprediction(fit, unseen, automatic=fit is chosen) for fit in fits]
+    selection = select(seen, states=states, offsets=[False], rank_one=True)
+    return [_misprediction(c.fit, unseen, automatic=c is selection.chosen) for c in selection.candidates]
 
 
 def _misprediction(fit: DecayFit, unseen: DecayData, *, automatic: bool) -> HoldOut:

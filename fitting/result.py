@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 import phoslab
 from phoslab import presets, spectra
 from phoslab.errors import PhoslabError, printable
-from phoslab.fitting.decay import MOST_STATES, DecayFit, choose, fit_candidates, fit_decay
+from phoslab.fitting.decay import MOST_STATES, DecayFit, fit_decay
 from phoslab.fitting.emission import match_colour, re_radiation
 from phoslab.fitting.holdout import NOISE_ALLOWANCE, HoldOut, hold_out
+from phoslab.fitting.intervals import rate_intervals
 from phoslab.fitting.reduction import ReducedDecay, reduce_decay
+from phoslab.fitting.selection import Selection, select
 from phoslab.kinetics import equilibrium
 from phoslab.material import Material
 from phoslab.session import Session
@@ -28,6 +30,8 @@ Array = NDArray[np.float64]
 _COLOUR_MISMATCH = 0.05
 _MISFIT = 2.0
 _FEW_DOF = 10
+# What a session of some minutes is fitted with unless more is asked for.
+_AUTOMATIC = (1, 2, 3)
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,8 @@ class FitResult:
     Args:
         material: what was fitted, with standard errors.
         fit: the decay that was chosen.
-        candidates: the decays it was chosen from, by number of states.
+        selection: what it was chosen from.
+        interval95: (n_c, 2) of each rate in 1/s, by profile likelihood; open ends are 0 and infinity.
         reduced: the measured decay, and where in the frames it was measured.
         held_out: how each number of states predicts frames that it has not seen.
         assumed: what was not measured but taken from elsewhere, in one sentence.
@@ -46,7 +51,8 @@ class FitResult:
 
     material: Material
     fit: DecayFit
-    candidates: tuple[DecayFit, ...]
+    selection: Selection
+    interval95: Array
     reduced: ReducedDecay
     held_out: tuple[HoldOut, ...]
     assumed: str
@@ -72,11 +78,12 @@ class FitResult:
         for i in range(fit.n_states):
             lines.append(
                 f"  kr[{i}] [1/s]           {_with_error(fit.kr_per_s[i], fit.kr_standard_error[i])}"
+                f", 95 % in {self.interval95[i, 0]:.4g} .. {self.interval95[i, 1]:.4g}"
                 f"   (lifetime {1 / fit.kr_per_s[i]:.4g} s)"
             )
         for i in range(fit.n_states):
             lines.append(
-                f"  A[{i}] [signal]         {_with_error(fit.amplitude[i], fit.amplitude_standard_error[i])}"
+                f"  A[{i}] [signal]         {_with_error(fit.strength[i], fit.strength_standard_error[i])}"
             )
         lines.append(
             "  colour                  "
@@ -84,14 +91,17 @@ class FitResult:
         )
         lines.append("[[number of states]]")
         held = {h.n_states: h for h in self.held_out}
-        for c in self.candidates:
-            chosen = "  <- chosen" if c is fit else ""
+        for c in self.selection.candidates:
+            chosen = "  <- chosen" if c is self.selection.chosen else ""
             unseen = (
                 f", frames held out missed by at most {held[c.n_states].worst:.1%}"
                 if c.n_states in held
                 else ""
             )
-            lines.append(f"  {c.n_states}: chi-square {c.chi2:.4g}, AICc {c.aicc:.4g}{unseen}{chosen}")
+            lines.append(
+                f"  {c.n_states}: chi-square {c.fit.chi2:.4g}, AICc {c.fit.aicc:.4g}, BIC {c.fit.bic:.4g}"
+                f"{unseen}{chosen}"
+            )
         if self.held_out:
             lines.append(
                 f"  (fitted to every second frame; {NOISE_ALLOWANCE:g} standard deviations of noise are taken off)"
@@ -141,10 +151,14 @@ def fit_session(
         )
     spectra.camera_sensitivities(camera, file=session.path / "session.toml")  # before the work, not after it
     reduced = reduce_decay(session, progress)
-    candidates = (
-        tuple(fit_candidates(reduced.data)) if states == "auto" else (fit_decay(reduced.data, int(states)),)
+    selection = select(
+        reduced.data,
+        states=_AUTOMATIC if states == "auto" else [int(states)],
+        offsets=[False],
+        rank_one=True,
     )
-    fit = choose(candidates) if states == "auto" else candidates[0]
+    chosen = selection.chosen
+    fit = fit_decay(reduced.data, chosen.n_states, near=[chosen.fit.theta[: chosen.n_states]])
 
     spectrum = lender.kr_per_s @ lender.emission
     spectrum = spectrum / spectrum.max()
@@ -181,7 +195,7 @@ def fit_session(
     )
     if material.reference_irradiance is not None and not np.isnan(material.ke_m2_per_J).any():
         charged = equilibrium(material, material.reference_irradiance)
-        start = float((charged * fit.amplitude).sum() / fit.amplitude.sum())
+        start = float((charged * fit.strength).sum() / fit.strength.sum())
         warnings.append(
             f"Under the lamp of {preset!r} the states would charge to r = "
             f"{', '.join(f'{r:.2f}' for r in charged)} and not to 1: rendered after that lamp, the glow starts at "
@@ -190,7 +204,8 @@ def fit_session(
     return FitResult(
         material=material,
         fit=fit,
-        candidates=candidates,
+        selection=selection,
+        interval95=rate_intervals(fit),
         reduced=reduced,
         held_out=tuple(hold_out(data)),
         assumed=assumed,

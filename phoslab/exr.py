@@ -40,7 +40,12 @@ def write_channels(
 
 
 def read_channels(path: Path, *, remedy: str) -> dict[str, NDArray[Any]]:
-    """Return the (height, width) channels of an image by name.
+    """Return the (height, width) channels of an image by name; see `read_image`."""
+    return read_image(path, remedy=remedy)[0]
+
+
+def read_image(path: Path, *, remedy: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Return the (height, width) channels of an image by name, and its attributes.
 
     Raises:
         PhoslabError: it is missing, no regular file, too large or not an OpenEXR image.
@@ -50,7 +55,8 @@ def read_channels(path: Path, *, remedy: str) -> dict[str, NDArray[Any]]:
     content = io.BytesIO(read_regular(path, _LARGEST_BYTES, remedy=remedy))
     try:
         with OpenEXR.File(content, separate_channels=True) as image:
-            return {name: np.asarray(channel.pixels) for name, channel in image.channels().items()}
+            channels = {name: np.asarray(channel.pixels) for name, channel in image.channels().items()}
+            return channels, dict(image.header())
     except Exception as error:  # the library raises many kinds for what is not an EXR file
         raise PhoslabError(
             f"cannot be read as an OpenEXR image ({error})", file=path, remedy=remedy

@@ -43,12 +43,14 @@ class GpuDrawable:
 
     Args:
         number: from 1; what the G-buffer holds.
+        geometry: its mesh, with atlas coordinates where it glows.
         box_w: (2, 3) its corners in world space, in m.
         atlas_size: (width, height) of its state textures; None where it does not glow.
     """
 
     number: int
     drawable: Drawable
+    geometry: Geometry
     mesh: MeshBuffers
     box_w: Array
     reflectance: moderngl.TextureArray
@@ -93,6 +95,7 @@ def upload(device: Device, scene: Scene) -> tuple[GpuDrawable, ...]:
             GpuDrawable(
                 number=number,
                 drawable=drawable,
+                geometry=geometry,
                 mesh=meshes[id(geometry)],
                 box_w=bounds(geometry, drawable.model_to_world),
                 reflectance=reflectances[id(drawable.reflectance)],

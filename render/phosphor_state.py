@@ -99,6 +99,7 @@ class PhosphorState:
         material, phosphor = drawable.material, drawable.drawable.phosphor
         assert material is not None
         assert phosphor is not None
+        self._device = device
         self.drawable, self.atlas, self.light, self.phosphor = drawable, atlas, light, phosphor
         # The lights of each layer of excitation; the last is for an initial equilibrium, if there is one.
         self._lights = list(schedule.alike.values())
@@ -149,6 +150,10 @@ class PhosphorState:
             self._anchor, self._spare = self._spare, self._anchor
         self.shown = self._anchor
 
+    def show_anchor(self) -> None:
+        """Let `shown` be the state at the anchor: that of its very time, whatever was shown before."""
+        self.shown = self._anchor
+
     def advance(self, segment: Segment) -> None:
         """Move the anchor to the end of a segment that begins at it.
 
@@ -174,6 +179,14 @@ class PhosphorState:
             self._take(segment, begin_s, end_s, self._picture)
             self.shown = self._picture
         return rest[0][0] if rest else segment.end_s
+
+    def only_at_rate(self, kr_per_s: float) -> StateTexture:
+        """Return a copy of `shown` in which only those states are left that fade at this rate."""
+        rates = self.phosphor.optics.uniform_kr
+        assert rates is not None
+        copy = StateTexture(self._device, self.atlas.size, len(rates), "f32")
+        copy.write(self.shown.read() * (rates == kr_per_s))
+        return copy
 
     def _steps(self, segment: Segment) -> tuple[Iterator[tuple[float, float]], list[tuple[float, float]]]:
         """Return the whole steps that span a segment, and what is left: one (begin_s, end_s) or none."""

@@ -8,6 +8,8 @@ phosphor_step     the state at the picture's time         per picture and change
 gbuffer           what the camera sees                    once
 direct_light      reflected lamp light                    per picture
 glow              light of the phosphors                  per picture, per phosphor
+atlas_glow        light that the phosphors send           per picture, per phosphor
+glow_transport    what surfaces reflect of that           per picture; by the way of `glow_methods` that was asked for
 resolve           samples to pixels                       per picture
 """
 
@@ -16,15 +18,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
 from phoslab.errors import PhoslabError
 from phoslab.render.atlas_geometry import AtlasGeometry, AtlasGeometryParameters
+from phoslab.render.atlas_glow import AtlasGlow
 from phoslab.render.atlas_irradiance import AtlasIrradiance
 from phoslab.render.device import Device
 from phoslab.render.direct_light import DirectLight
 from phoslab.render.excitation import Excitation
+from phoslab.render.fade_basis import FadeBasis, fading_rates
 from phoslab.render.frame import Frame
 from phoslab.render.gbuffer import GBuffer, GBufferParameters
 from phoslab.render.glow import Glow
+from phoslab.render.glow_methods import find_method
+from phoslab.render.glow_transport import NONE, GlowTransport, Surroundings, TransportParameters
 from phoslab.render.gpu_scene import upload
 from phoslab.render.passes import Pass, Picture, side_by_side
 from phoslab.render.phosphor_state import PhosphorState, Stepping
@@ -42,8 +52,13 @@ PASSES = (
     GBuffer,
     DirectLight,
     Glow,
+    AtlasGlow,
     Resolve,
 )
+
+# What can be looked at: every pass, and whichever way glow is transported.
+TRANSPORT = "glow_transport"
+DEBUG_NAMES = (*(p.name for p in PASSES), TRANSPORT)
 
 
 @dataclass(frozen=True)
@@ -54,23 +69,25 @@ class RenderParameters:
         size: (width, height) of the picture in pixels.
         supersampling: samples along the side of a pixel.
         stepping: solver and step of the states.
+        transport: whether, and how, glow reaches other surfaces.
         debug: names of passes whose results come with every frame.
     """
 
     size: tuple[int, int]
     supersampling: int
     stepping: Stepping = field(default_factory=Stepping)
+    transport: TransportParameters = field(default_factory=TransportParameters)
     shadow_map: ShadowMapParameters = field(default_factory=ShadowMapParameters)
     atlas_geometry: AtlasGeometryParameters = field(default_factory=AtlasGeometryParameters)
     debug: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         for name in self.debug:
-            if name not in {p.name for p in PASSES}:
+            if name not in DEBUG_NAMES:
                 raise PhoslabError(
                     f"{name!r} is unknown",
                     field="the pass",
-                    remedy=f"Use any of: {', '.join(p.name for p in PASSES)}.",
+                    remedy=f"Use any of: {', '.join(DEBUG_NAMES)}.",
                 )
 
 
@@ -78,7 +95,7 @@ class Renderer:
     """Renders one scene at any times; what does not change between them is kept."""
 
     def __init__(self, device: Device, scene: Scene, parameters: RenderParameters) -> None:
-        self.scene, self.parameters = scene, parameters
+        self._device, self.scene, self.parameters = device, scene, parameters
         n_bands = scene.transport.n
         w, h = parameters.size
         samples = (w * parameters.supersampling, h * parameters.supersampling)
@@ -89,6 +106,7 @@ class Renderer:
         self.glow = Glow(device, n_bands)
         self.resolve = Resolve(device, n_bands, ResolveParameters(parameters.size, parameters.supersampling))
         self.states = self._make_states(device)
+        self.transport = self._make_transport(device)
         self._anchor_s = 0.0
         self.prepare()
 
@@ -112,6 +130,26 @@ class Renderer:
             )
         return states
 
+    def _make_transport(self, device: Device) -> GlowTransport | None:
+        p = self.parameters
+        needed = p.transport.method != NONE and bool(self.states)
+        lit = needed or AtlasGlow.name in p.debug
+        self.glows = [
+            AtlasGlow(device, s.drawable, s.atlas, self.scene.transport.n) for s in self.states if lit
+        ]
+        if not needed:
+            return None
+        surroundings = Surroundings(
+            self.scene,
+            self.drawables,
+            [state.atlas for state in self.states],
+            self.glows,
+            self.gbuffer,
+            p.size,
+            p.supersampling,
+        )
+        return find_method(p.transport.method)(device, surroundings, p.transport)
+
     def prepare(self) -> None:
         """Run the passes whose results hold while nothing moves."""
         self.shadow_map.run()
@@ -122,6 +160,8 @@ class Renderer:
         for state in self.states:
             state.strictest_per_s = max(other.largest_rate_per_s for other in self.states)
         self.gbuffer.run(self.scene.camera)
+        if self.transport is not None:
+            self.transport.prepare()
 
     def frame(self, t_s: float, label: str | None = None) -> Frame:
         """Render the scene at `t_s` seconds; forwards in time is cheaper than backwards.
@@ -131,18 +171,57 @@ class Renderer:
         """
         factors = self.scene.schedule.factors(t_s)
         self.bring_states_to(t_s)
+        self._draw(factors, [state.shown.value for state in self.states])
+        return self._make_frame(t_s, label, self.resolve.read(), self._debug_views(factors))
+
+    def _draw(self, factors: Mapping[str, float], states: Sequence[moderngl.Texture]) -> None:
+        """Draw what the lights and the phosphors in these states give, down to pixels."""
+        radiance = self.direct_light.radiance
         self.direct_light.run(self.gbuffer, self.drawables, factors)
-        for state in self.states:
-            self.glow.run(self.gbuffer, state.drawable, state.shown.value, self.direct_light.radiance)
-        self.resolve.run(self.direct_light.radiance)
+        for phosphor, r in zip(self.states, states, strict=True):
+            self.glow.run(self.gbuffer, phosphor.drawable, r, radiance)
+        if self.glows:
+            for glow, r in zip(self.glows, states, strict=True):
+                glow.run(r)
+        if self.transport is not None:
+            self.transport.run(radiance)
+        self.resolve.run(radiance)
+
+    def _make_frame(
+        self,
+        t_s: float,
+        label: str | None,
+        radiance: NDArray[np.float32],
+        debug: Mapping[str, Picture] | None = None,
+    ) -> Frame:
         return Frame(
             time_s=t_s,
             label=f"{t_s:g}" if label is None else label,
             bands=self.scene.transport,
-            radiance=self.resolve.read(),
+            radiance=radiance,
             warnings=self._warnings(t_s),
-            debug=self._debug_views(factors),
+            debug=debug or {},
         )
+
+    def fade_basis(self, t_s: float) -> FadeBasis:
+        """Render what fades at each rate, from `t_s` on; see `fade_basis.py`.
+
+        Raises:
+            PhoslabError: a light is on at `t_s`, or a rate varies over a surface.
+        """
+        rates = fading_rates(self.scene, t_s)
+        self.bring_states_to(t_s)
+        pictures = []
+        for rate in rates:
+            with self._device.scope():
+                only = [state.only_at_rate(rate) for state in self.states]
+                self._draw({}, [texture.value for texture in only])
+            pictures.append(self.resolve.read())
+        return FadeBasis(t_s, rates, np.array(pictures), self.scene.transport)
+
+    def faded_frame(self, basis: FadeBasis, t_s: float, label: str | None = None) -> Frame:
+        """Return the frame at `t_s`, from a basis of this scene: the states stay where they are."""
+        return self._make_frame(t_s, label, basis.at(t_s))
 
     def bring_states_to(self, t_s: float) -> None:
         """Advance the phosphors, or go back to time 0 and advance, so that each shows its state at `t_s`."""
@@ -150,6 +229,8 @@ class Renderer:
             for state in self.states:
                 state.reset()
             self._anchor_s = 0.0
+        for state in self.states:
+            state.show_anchor()
         for segment in self.scene.schedule.segments(self._anchor_s, t_s):
             self._anchor_s = segment.end_s
             for state in self.states:
@@ -176,7 +257,7 @@ class Renderer:
         if AtlasIrradiance.name in self.parameters.debug:
             for state in self.states:
                 state.light.run(state.atlas, factors)
-        sources: dict[str, Sequence[Pass | PhosphorState]] = {
+        sources: dict[str, Sequence[Pass | PhosphorState | GlowTransport]] = {
             ShadowMap.name: [self.shadow_map],
             AtlasGeometry.name: [s.atlas for s in self.states],
             AtlasIrradiance.name: [s.light for s in self.states],
@@ -185,6 +266,8 @@ class Renderer:
             GBuffer.name: [self.gbuffer],
             DirectLight.name: [self.direct_light],
             Glow.name: [self.direct_light],
+            AtlasGlow.name: self.glows,
+            TRANSPORT: [] if self.transport is None else [self.transport],
             Resolve.name: [self.resolve],
         }
         views: dict[str, Picture] = {}

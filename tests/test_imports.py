@@ -96,6 +96,8 @@ MEASURE = {"phoslab.instruments"}
             FIT | {"jinja2"},
             {"phoslab.fitting"},
         ),
+        ("fit TABLE --json", FIT, {"phoslab.fitting"}),
+        ("classify TABLE", FIT, {"phoslab.fitting"}),
         ("render SCENE -o glow.png --at 0", RENDER, {"phoslab.render", "phoslab.shaders"}),
     ],
 )
@@ -104,6 +106,8 @@ def test_a_command_loads_only_what_it_uses(
 ) -> None:
     samples = files("phoslab.sample_data")
     paths = {"SESSION": samples / "sessions" / "green-decay", "SCENE": samples / "scenes" / "fading"}
+    paths["TABLE"] = tmp_path / "decay.csv"
+    paths["TABLE"].write_text("t_s,lum\n0,1\n10,0.5\n20,0.26\n30,0.12\n")
     loaded = _loaded(*(str(paths.get(word, word)) for word in arguments.split()), cwd=tmp_path)
     assert loaded & DEPENDENCIES <= dependencies
     assert loaded & PARTS <= parts

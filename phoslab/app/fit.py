@@ -1,35 +1,71 @@
-"""Fit a material to a recorded decay session."""
+"""Fit a material to a recorded decay session, or rates to a decay table (CSV)."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-HELP = "fit a material to a recorded session"
-EXAMPLE = "phoslab fit sample_data/sessions/green-decay --preset green -o green.json --report green.html"
+HELP = "fit a material to a recorded session, or rates to a decay table"
+EXAMPLE = (
+    "phoslab fit sample_data/sessions/green-decay --preset green -o green.json --report green.html\n"
+    "  phoslab fit decay.csv --states auto --json"
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("session", nargs="+", type=Path, metavar="SESSION", help="folder of a decay session")
+    parser.add_argument(
+        "session",
+        nargs="+",
+        type=Path,
+        metavar="SESSION|TABLE.csv",
+        help="folder of a decay session; or a CSV table with the columns t_s (since lamp-off), optionally exposure_s, "
+        "one a channel, optionally CHANNEL_sigma",
+    )
     parser.add_argument(
         "--preset",
-        required=True,
         type=_preset,
         metavar="NAME",
-        help="material that lends what a decay does not tell: excitation rates and the spectrum's shape",
+        help="material that lends what a session does not tell: excitation rates and the spectrum's shape",
     )
     parser.add_argument(
         "--states",
         default="auto",
-        choices=["auto", "1", "2", "3"],
+        choices=["auto", "1", "2", "3", "4"],
         help="number of exponentials (default: auto)",
     )
     parser.add_argument("--name", help="name of the material (default: the sample's)")
     parser.add_argument(
-        "-o", "--output", required=True, type=Path, metavar="FILE", help="material file to write"
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="material file to write; for a table, a JSON file of the fit",
     )
-    parser.add_argument("--report", type=Path, metavar="FILE.html", help="also write a report to read")
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE.html", help="also write a report to read (sessions)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    table = parser.add_argument_group("tables")
+    table.add_argument(
+        "--offset",
+        default="auto",
+        choices=["auto", "none", "fit"],
+        help="a constant in every channel: chosen by the data, none, or always (default: auto)",
+    )
+    table.add_argument(
+        "--noise",
+        default="auto",
+        choices=["auto", "constant", "photon", "relative"],
+        help="how noise goes with the signal where the table gives no sigma (default: the likeliest)",
+    )
+    table.add_argument("--bootstrap", type=_count, default=0, metavar="N", help="add a bootstrap of N draws")
+    table.add_argument(
+        "--extrapolate",
+        type=_times,
+        default=(),
+        metavar="S,S,...",
+        help="continue the fit to these times after lamp-off, with the band that the data allow",
+    )
 
 
 def _preset(name: str) -> str:
@@ -38,6 +74,22 @@ def _preset(name: str) -> str:
     if name not in presets.names():
         raise argparse.ArgumentTypeError(f"{name!r} is unknown; use one of: {', '.join(presets.names())}")
     return name
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or not 100 <= int(text) <= 1_000_000:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of draws from 100 to 1000000")
+    return int(text)
+
+
+def _times(text: str) -> tuple[float, ...]:
+    try:
+        times = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        times = (-1.0,)
+    if not all(0 <= t < 1e9 for t in times):
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of times in seconds, like 600,3600")
+    return times
 
 
 def _check_outputs(outputs: list[Path], sessions: list[Path]) -> None:
@@ -57,11 +109,75 @@ def _check_outputs(outputs: list[Path], sessions: list[Path]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    if any(path.is_file() for path in args.session):
+        return _fit_table(args)
+    return _fit_session(args)
+
+
+def _needs(args: argparse.Namespace, option: str, what: str) -> None:
+    from phoslab.errors import PhoslabError
+
+    if getattr(args, option) is None:
+        name = "-o" if option == "output" else f"--{option}"
+        raise PhoslabError("is missing", field=name, remedy=what)
+
+
+def _fit_table(args: argparse.Namespace) -> int:
+    import json
+    import os
+
+    # Before numpy is loaded: matrices of a hundred rows gain nothing from threads and lose by them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from phoslab.errors import PhoslabError, printable
+    from phoslab.files import write_text
+
+    if len(args.session) != 1:
+        raise PhoslabError(
+            f"names {len(args.session)} inputs", field="the fit", remedy="Name one table, or one session."
+        )
+    if args.report is not None or args.preset is not None:
+        raise PhoslabError(
+            "is for sessions",
+            file=args.session[0],
+            field="--report or --preset",
+            remedy="A table is fitted without; its report is printed.",
+        )
+    _check_outputs([p for p in (args.output,) if p is not None], args.session)
+    from phoslab.fitting.table_fit import fit_table
+    from phoslab.fitting.table_report import report
+
+    result = fit_table(
+        args.session[0],
+        states=args.states if args.states == "auto" else int(args.states),
+        offset=args.offset,
+        noise_law=args.noise,
+        bootstrap=args.bootstrap,
+        extrapolate_s=args.extrapolate,
+    )
+    content = json.dumps(result.to_dict(), allow_nan=False)
+    if args.output:
+        write_text(args.output, content + "\n")
+    if args.json:
+        print(content)
+    else:
+        print(report(result, printable(args.session[0].name)))
+        if args.output:
+            print(f"Wrote {args.output}")
+    return 0
+
+
+def _fit_session(args: argparse.Namespace) -> int:
     import json
     import math
 
     from phoslab.app.progress import progress_bar
 
+    _needs(
+        args,
+        "preset",
+        "Name the material that lends excitation rates and spectrum: `phoslab presets` lists them.",
+    )
+    _needs(args, "output", "Name the material file to write.")
     _check_outputs([p for p in (args.output, args.report) if p is not None], args.session)
     from phoslab.fitting import fit_session
 
@@ -79,6 +195,10 @@ def run(args: argparse.Namespace) -> int:
 
         write_report(args.report, result)
     if args.json:
+
+        def plain(values: list[float]) -> list[float | None]:
+            return [v if math.isfinite(v) else None for v in values]
+
         print(
             json.dumps(
                 {
@@ -86,9 +206,8 @@ def run(args: argparse.Namespace) -> int:
                     "report": str(args.report) if args.report else None,
                     "states": result.fit.n_states,
                     "kr_per_s": result.fit.kr_per_s.tolist(),
-                    "kr_standard_error": [
-                        e if math.isfinite(e) else None for e in result.fit.kr_standard_error.tolist()
-                    ],
+                    "kr_standard_error": plain(result.fit.kr_standard_error.tolist()),
+                    "interval95_per_s": [plain(ends) for ends in result.interval95.tolist()],
                     "chi2": result.fit.chi2,
                     "dof": result.fit.dof,
                     "assumed": result.assumed,

@@ -1,7 +1,8 @@
 """Render a scene with glow-in-the-dark materials: lamp light, then what is left in the dark.
 
 SCENE is a scene.toml, or the folder that holds one. OUT ends in .png (as a display shows it) or .exr (radiance in
-spectral bands, and XYZ); several times give OUT with the time in its name.
+spectral bands, and XYZ); several times give OUT with the time in its name. An OUT that ends in .basis.exr holds how the
+scene fades from one time in the dark on; given as SCENE, it gives the picture at any later time without rendering.
 """
 
 from __future__ import annotations
@@ -9,28 +10,36 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from phoslab import times
 from phoslab.app.progress import progress_bar
+from phoslab.errors import PhoslabError
 from phoslab.files import check_writable
+
+if TYPE_CHECKING:
+    from phoslab.render import TransportParameters
 
 HELP = "render a scene at given times"
 EXAMPLE = "phoslab render scenes/fading -o glow.png --at off-1s,off+1s,off+80s"
 
 # What the renderer knows by name, so that bad usage needs no renderer to be found out. A test compares them.
 SUFFIXES = (".png", ".exr")
+BASIS = ".basis.exr"
 SOLVERS = ("euler", "substep", "exact", "exact2", "rk23")
 FORMATS = ("f32", "f16", "unorm16", "f32c")
 PASSES = (
     *("shadow_map", "atlas_geometry", "atlas_irradiance", "excitation", "phosphor_step"),
-    *("gbuffer", "direct_light", "glow", "resolve"),
+    *("gbuffer", "direct_light", "glow", "atlas_glow", "resolve", "glow_transport"),
 )
+METHODS = ("none", "tiles", "reference")
 
 # Pixels along a side, as in a scene file.
 LARGEST_SIDE = 16384
+
+MOST_SAMPLES = 1 << 20
 
 T = TypeVar("T")
 
@@ -64,6 +73,50 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="what holds the state between light changes: f32 (default), f16, unorm16, f32c (compensated)",
     )
     parser.add_argument(
+        "--gi",
+        choices=METHODS,
+        default="none",
+        help="how glow lights other surfaces: none (default); tiles: reflected once, gathered from cells of the "
+        "surfaces; reference: reflected once, by the path tracer Mitsuba",
+    )
+    parser.add_argument(
+        "--directions",
+        metavar="N",
+        type=_count,
+        help="directions in which a pixel of tiles looks for glow (default 8)",
+    )
+    parser.add_argument(
+        "--filter",
+        metavar="PX",
+        type=int,
+        choices=(0, 2, 4, 8),
+        help="pixels to each side over which tiles share them (default 4)",
+    )
+    parser.add_argument(
+        "--cell",
+        metavar="SHARE",
+        type=float,
+        help="radius of the smallest cells of tiles, over the scene's (default 0.025)",
+    )
+    parser.add_argument(
+        "--detail",
+        metavar="RATIO",
+        type=float,
+        help="radius over distance that no larger cell of tiles exceeds (default 0.3)",
+    )
+    parser.add_argument(
+        "--samples",
+        metavar="N",
+        type=_count,
+        default=256,
+        help="light paths a pixel of reference (default 256)",
+    )
+    parser.add_argument(
+        "--full-transport",
+        action="store_true",
+        help="let reference follow light to its end instead of for one reflection",
+    )
+    parser.add_argument(
         "--size", metavar="WxH", type=_size, help="size of the picture in pixels (default: the scene's)"
     )
     parser.add_argument(
@@ -78,10 +131,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render, write, and say what was written."""
-    from phoslab.render import load_scene, render
+    from phoslab.render import load_scene, render, render_fade_basis
 
     check_writable(args.out)
+    if args.scene.name.lower().endswith(BASIS):
+        return _say(args, *_from_basis(args))
     scene = load_scene(args.scene)
+    transport = _transport(args)
+    if args.out.name.lower().endswith(BASIS):
+        basis = render_fade_basis(
+            scene, *_one_time(args.at), transport=transport, size=args.size, state_format=args.state_format
+        )
+        folder = args.scene if args.scene.is_dir() else args.scene.parent
+        basis.write(args.out, scene=folder.resolve().name, off_s=scene.schedule.off_s)
+        return _say(args, [args.out], scene.warnings)
     with progress_bar("rendering") as progress:
         frames = render(
             scene,
@@ -89,17 +152,53 @@ def run(args: argparse.Namespace) -> int:
             solver=args.solver,
             step_s=args.step,
             state_format=args.state_format,
+            transport=transport,
             size=args.size,
             debug=args.debug,
             progress=progress,
         )
-    written = frames.write(args.out)
+    return _say(args, frames.write(args.out), frames.warnings)
+
+
+def _transport(args: argparse.Namespace) -> TransportParameters:
+    """Return what the arguments say of glow transport; what they leave out is the renderer's own default."""
+    from phoslab.render import TransportParameters
+
+    said = {
+        "directions": args.directions,
+        "filter_px": args.filter,
+        "cell": args.cell,
+        "detail": args.detail,
+        "samples": args.samples,
+    }
+    return TransportParameters(
+        args.gi, full=args.full_transport, **{k: v for k, v in said.items() if v is not None}
+    )
+
+
+def _one_time(at: list[str] | None) -> list[str]:
+    if at is not None and len(at) != 1:
+        raise PhoslabError(
+            "names several times", field="--at", remedy="A fade basis begins at one time in the dark."
+        )
+    return at or ["off"]
+
+
+def _from_basis(args: argparse.Namespace) -> tuple[list[Path], Sequence[str]]:
+    """Write the pictures that a fade basis gives at the times asked for."""
+    from phoslab.render.fade_basis import frames_of
+
+    frames = frames_of(args.scene, args.at)
+    return frames.write(args.out), frames.warnings
+
+
+def _say(args: argparse.Namespace, written: Sequence[Path], warnings: Sequence[str]) -> int:
     if args.json:
-        print(json.dumps({"files": [str(path) for path in written], "warnings": list(frames.warnings)}))
+        print(json.dumps({"files": [str(path) for path in written], "warnings": list(warnings)}))
     else:
         for path in written:
             print(path)
-        for warning in frames.warnings:
+        for warning in warnings:
             print(f"warning: {warning}")
     return 0
 
@@ -128,6 +227,12 @@ def _seconds(text: str) -> float:
     if not 0 < seconds < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r} is no positive number of seconds")
     return seconds
+
+
+def _count(text: str) -> int:
+    if not re.fullmatch(r"\d{1,7}", text, re.ASCII) or not 1 <= int(text) <= MOST_SAMPLES:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 to {MOST_SAMPLES}")
+    return int(text)
 
 
 def _time(text: str) -> str:

@@ -64,13 +64,13 @@ def write_report(
 def _states(result: FitResult) -> list[dict[str, Any]]:
     """The numbers of each state, ready to print."""
     fit = result.fit
-    share = fit.amplitude / fit.kr_per_s
+    share = fit.strength / fit.kr_per_s
     share = share / share.sum()
     return [
         {
             "kr": _value(fit.kr_per_s[i], fit.kr_standard_error[i]),
             "lifetime": f"{1 / fit.kr_per_s[i]:.3g}",
-            "amplitude": _value(fit.amplitude[i], fit.amplitude_standard_error[i]),
+            "amplitude": _value(fit.strength[i], fit.strength_standard_error[i]),
             "share": f"{share[i]:.0%}",
         }
         for i in range(fit.n_states)

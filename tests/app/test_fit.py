@@ -1,5 +1,7 @@
 """What `phoslab fit`, `export` and the command line itself refuse, and how."""
 
+import json
+import math
 import os
 import shlex
 import subprocess
@@ -54,6 +56,55 @@ def test_an_unknown_preset_is_bad_usage(session, tmp_path, capsys):
         cli.main(["fit", str(session), "--preset", "nope", "-o", str(tmp_path / "m.json")])
     assert stopped.value.code == cli.BAD_USAGE
     assert "green" in capsys.readouterr().err
+
+
+def table(folder):
+    path = folder / "decay.csv"
+    path.write_text("t_s,lum\n" + "".join(f"{5 * i},{0.9**i + 0.003 * (-1) ** i:.6g}\n" for i in range(20)))
+    return path
+
+
+def test_a_table_is_fitted_without_preset_and_output(tmp_path, capsys):
+    assert cli.main(["fit", str(table(tmp_path)), "--states", "1", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["kr_per_s"] == pytest.approx([-math.log(0.9) / 5], rel=0.02)
+    assert [p.name for p in tmp_path.iterdir()] == ["decay.csv"]
+
+
+def test_the_report_of_a_table_gives_intervals_criteria_and_reasons(tmp_path, capsys):
+    assert cli.main(["fit", str(table(tmp_path)), "--extrapolate", "50,500"]) == 0
+    said = capsys.readouterr().out
+    for part in (
+        "95 %:",
+        "AICc",
+        "cross-validation",
+        "Becquerel",
+        "500 s",
+        "beyond the data",
+        "sigma-estimated",
+    ):
+        assert part in said
+
+
+def test_the_fit_of_a_table_does_not_overwrite_it(tmp_path, capsys):
+    path = table(tmp_path)
+    before = path.read_text()
+    assert cli.main(["fit", str(path), "-o", str(path)]) == 1
+    assert path.read_text() == before
+
+
+def test_a_session_without_preset_or_output_says_what_is_missing(session, tmp_path, capsys):
+    assert cli.main(["fit", str(session), "-o", str(tmp_path / "m.json")]) == 1
+    assert "--preset is missing" in capsys.readouterr().err
+    assert cli.main(["fit", str(session), "--preset", "green"]) == 1
+    assert "-o is missing" in capsys.readouterr().err
+
+
+def test_a_rising_table_is_one_sentence(tmp_path, capsys):
+    path = tmp_path / "r.csv"
+    path.write_text("t_s,lum\n" + "".join(f"{i},{i + 1}\n" for i in range(10)))
+    assert cli.main(["fit", str(path)]) == 1
+    assert "lum rises" in capsys.readouterr().err
 
 
 def phoslab(*arguments: str, **options):

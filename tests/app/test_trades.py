@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from phoslab.app.trades import extremes, hours, precision, previous, rhythm
+from phoslab.app.trades import extremes, fit_draws, hours, precision, previous, rhythm
 from phoslab.app.trades.page import Plot, Section, Table, write_trade
 from phoslab.app.trades.precision import Measured, Point
 
@@ -90,6 +90,20 @@ def test_naive_float32_loses_a_slow_material_within_the_hour():
 def test_the_cost_of_the_past_grows_with_it():
     short, *_, long = previous.measure(64, 3)
     assert long.cache_bytes == 64 * short.cache_bytes
+
+
+def test_the_trade_of_the_fit_judges_a_fit_that_fails(tmp_path):
+    draws = fit_draws.recover(fit_draws.USUAL, 5, lambda data: np.array([0.132, 0.012]))
+    assert draws.within(fit_draws.USUAL.kr) == 0.0
+    assert fit_draws.recover(fit_draws.USUAL, 5).within(fit_draws.USUAL.kr) == 1.0
+
+
+def test_curve_fit_beside_it_finds_the_same_rates_from_a_start_at_the_truth():
+    fit = fit_draws.curve_fit_rates(fit_draws.USUAL.kr)
+    data = fit_draws.USUAL.draw(3)
+    ours = fit_draws.recover(fit_draws.USUAL, 4).rates[3]
+    # Both minimise the same chi-square; curve_fit stops at a relative change of 1e-8.
+    assert fit(data) == pytest.approx(ours, rel=1e-5)
 
 
 def test_a_trade_leaves_a_page_tables_plots_and_data(tmp_path):

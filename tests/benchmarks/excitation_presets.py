@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 
 from phoslab.bands import Bands
 from phoslab.fitting.charging import LampCourse, Steps, Table
-from phoslab.fitting.decay import DecayData, choose, fit_candidates
+from phoslab.fitting.decay import DecayData
 from phoslab.fitting.excitation import ExcitationFit, fit_excitation
 from phoslab.fitting.excitation_model import Charge, ExcitationData
 from phoslab.fitting.light import Shapes
+from phoslab.fitting.selection import select
 from phoslab.instruments.bench import lights, scene
 from phoslab.instruments.bench.courses import Bulb
 from phoslab.instruments.bench.lvf import Lvf
@@ -151,16 +152,9 @@ def fitted(folder: Path) -> tuple[ExcitationFit, ExcitationData, Charge]:
         sigma=whole,
         repeatability=REPEATABILITY,
     )
-    fit = choose(fit_candidates(data))
-    n, k = fit.n_states, np.r_[: fit.n_states, fit.n_parameters - fit.n_states : fit.n_parameters]
-    scale = np.concatenate([np.ones(n), 1 / fit.amplitude])
-    charge = Charge(
-        fit.kr_per_s,
-        fit.amplitude,
-        fit.covariance[np.ix_(k, k)] * np.outer(scale, scale),
-        Steps.of(np.array([5400.0]), np.array([0.5]), np.array([0.01]), lamp),
-        full,
-    )
+    fit = select(data, rank_one=True, offsets=(False,), states=(1, 2, 3)).chosen.fit
+    charged = Steps.of(np.array([5400.0]), np.array([0.5]), np.array([0.01]), lamp)
+    charge = Charge.from_decay(fit, charged, full)
     green = int(np.argmax(fit.colour))
     response = np.nanmean((bright[:, :-1] / bright[:, -1:])[:12, :, green], axis=0)
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting.decay import DecayData, choose, fit_candidates, fit_decay
+from phoslab.fitting.decay import DecayData, fit_decay
 from phoslab.fitting.holdout import hold_out
+from phoslab.fitting.selection import select
 
 T = np.arange(37) * 5.0
 COLOUR = np.array([1.0, 0.6, 0.25])
@@ -30,7 +31,7 @@ def test_noise_free_rates_come_back_to_the_last_digits_without_a_guess():
     fit = fit_decay(decay([0.3, 0.1, 0.03], [0.4, 0.3, 0.3], sigma=0), 3)
     # Float64 rounding of the data (1e-16) times the problem's condition: |d log kr / d data| is about 1e4 here.
     assert fit.kr_per_s == pytest.approx([0.3, 0.1, 0.03], rel=1e-11)
-    assert fit.amplitude == pytest.approx([0.4, 0.3, 0.3], rel=1e-11)
+    assert fit.strength == pytest.approx([0.4, 0.3, 0.3], rel=1e-11)
     assert fit.colour == pytest.approx(COLOUR, rel=1e-12)
 
 
@@ -56,13 +57,13 @@ def test_exposure_time_is_integrated():
     # The sum over 2000 midpoints errs by (k h)²/24 = 4e-8, times the condition of two well separated rates.
     assert fit_decay(data, 2).kr_per_s == pytest.approx([0.5, 0.01], rel=1e-6)
     ignored = fit_decay(replace(data, exposure_s=np.zeros(37)), 2)
-    assert fit_decay(data, 2).amplitude[0] > 1.5 * ignored.amplitude[0]
+    assert fit_decay(data, 2).strength[0] > 1.5 * ignored.strength[0]
 
 
 def test_states_come_fast_to_slow_with_their_own_amplitudes_and_errors():
     fit = fit_decay(decay([0.009, 0.132], [0.3, 0.7]), 2)
     assert fit.kr_per_s[0] > fit.kr_per_s[1]
-    assert fit.amplitude[0] > fit.amplitude[1]
+    assert fit.strength[0] > fit.strength[1]
     assert fit.kr_standard_error[0] > fit.kr_standard_error[1]
 
 
@@ -104,7 +105,7 @@ def test_a_channel_without_light_is_no_obstacle():
 
 def test_more_states_than_there_are_are_seen_to_be_degenerate_or_dearer():
     data = decay([0.03], [1.0])
-    assert choose(fit_candidates(data)).n_states == 1
+    assert select(data, rank_one=True).chosen.n_states == 1
 
 
 def test_too_few_values_are_refused():

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.fitting.charging import LampCourse, Steps, Table
+from phoslab.fitting.decay import DecayData, fit_decay
 from phoslab.fitting.excitation import fit_excitation
 from phoslab.fitting.excitation_model import Charge, ExcitationData
 from phoslab.fitting.light import Shapes, outside
@@ -181,6 +182,25 @@ def test_dark_bands_come_back_as_nothing_with_a_limit(two_states):
     # A thousandth of the best band and less: what the noise floor, 0.015 % of the brightest, and 12 frames let through.
     assert (limit < 3e-3 * truth.ke.max(axis=1, keepdims=True)).all()
     assert np.isnan(fit.ke_upper_limit[fit.ke_m2_per_J > 0]).all()
+
+
+def test_a_decay_fit_becomes_what_the_joint_fit_takes():
+    t_s, exposure_s = np.arange(0.6, 180, 5.0), np.full(36, 0.5)
+    light = np.stack([a * decayed(k, t_s, exposure_s) for a, k in ((40.0, 0.2), (8.0, 0.02))]).sum(axis=0)
+    signal = light[:, None] * np.array([0.2, 1.0, 0.4])
+    sigma = np.full(signal.shape, 0.02)
+    rng = np.random.default_rng(0)
+    fit = fit_decay(DecayData(t_s, exposure_s, signal + sigma * rng.standard_normal(signal.shape), sigma), 2)
+    charge = Charge.from_decay(fit, Steps.of(np.ones(1), np.ones(1), np.ones(1), COURSE), np.ones(8))
+    assert charge.kr_per_s == pytest.approx([0.2, 0.02], rel=0.02)
+    assert charge.amplitude == pytest.approx([40.0, 8.0], rel=0.02)
+    error = np.sqrt(np.diag(charge.covariance))
+    assert error[:2] == pytest.approx(fit.kr_standard_error / fit.kr_per_s, rel=1e-12)
+    assert error[2:] == pytest.approx(fit.strength_standard_error / fit.strength, rel=1e-12)
+
+
+def decayed(kr: float, t_s: np.ndarray, exposure_s: np.ndarray) -> np.ndarray:
+    return np.exp(-kr * t_s) * -np.expm1(-kr * exposure_s) / (kr * exposure_s)
 
 
 def test_far_from_saturation_only_the_product_is_claimed():

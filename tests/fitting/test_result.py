@@ -53,7 +53,7 @@ def test_the_material_glows_as_the_fit_says_when_its_states_are_full(green_fit):
     L = phoslab.kinetics.emitted_radiance(m, np.ones(m.n_states))
     rgb = phoslab.spectra.camera_response(L, m.bands, "Nikon 5100 (NPL)")
     # Equal in the direction of the preset's spectrum; the measured colour is another, and the report says so.
-    measured = fit.amplitude.sum() * fit.colour
+    measured = fit.strength.sum() * fit.colour
     assert rgb @ measured / (rgb @ rgb) == pytest.approx(1.0, rel=1e-12)
 
 
@@ -81,7 +81,7 @@ def test_the_file_names_the_session_by_its_hash(green_fit, green_decay):
 def test_the_report_says_how_far_the_material_is_from_its_own_measurement(green_fit):
     m, fit = green_fit.material, green_fit.fit
     charged = phoslab.kinetics.equilibrium(m, m.reference_irradiance)
-    start = (charged * fit.amplitude).sum() / fit.amplitude.sum()
+    start = (charged * fit.strength).sum() / fit.strength.sum()
     assert any(f"starts at {start:.0%}" in w for w in green_fit.warnings)
 
 

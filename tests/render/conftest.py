@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import gc
+import importlib.util
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -194,3 +196,14 @@ def refuses() -> Callable[..., str]:
         return message
 
     return call
+
+
+@pytest.fixture(scope="session")
+def rooms() -> ModuleType:
+    """The module `glow_rooms.py` beside this file: scenes with a closed form for what glow lights."""
+    spec = importlib.util.spec_from_file_location("glow_rooms", Path(__file__).with_name("glow_rooms.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

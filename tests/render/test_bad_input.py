@@ -241,7 +241,8 @@ def test_a_damaged_gltf_file_is_refused_or_read_but_never_breaks_the_loader(lit,
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(cut=st.integers(0, 4000), flip=st.integers(0, 3999))
 def test_a_cut_or_corrupted_glb_is_refused_or_read_but_never_breaks_the_loader(tmp_path, cut, flip):
-    from phoslab.sample_data.make_scenes import GlbWriter, star
+    from phoslab.sample_data.glb import GlbWriter
+    from phoslab.sample_data.shapes import star
 
     glb = GlbWriter()
     glb.mesh("star", star(5, 0.2, 0.1, 0.05), glb.material((1, 1, 1)))

@@ -37,25 +37,29 @@ def test_euler_steps_as_asked(scene, tmp_path):
 
 
 def test_every_pass_shows_what_it_made(scene, tmp_path, capsys):
-    from phoslab.render.renderer import PASSES
+    from phoslab.render.renderer import DEBUG_NAMES
 
     out = tmp_path / "glow.png"
-    wanted = ",".join(p.name for p in PASSES)
-    assert main(["render", scene, "-o", str(out), "--at", "1", "--size", "8x8", "--debug", wanted]) == 0
+    args = ["render", scene, "-o", str(out), "--at", "1", "--size", "8x8", "--gi", "tiles"]
+    assert main([*args, "--debug", ",".join(DEBUG_NAMES)]) == 0
     views = {path.name.split(".")[1] for path in tmp_path.glob("glow.*.png")}
-    assert views == {p.name for p in PASSES}
+    assert views == set(DEBUG_NAMES)
 
 
 def test_the_command_line_knows_the_names_that_the_renderer_knows():
     """It holds them as literals, so that `--help` loads no renderer."""
     from phoslab.app import render as command
-    from phoslab.render.renderer import PASSES
+    from phoslab.render.fade_basis import SUFFIX
+    from phoslab.render.glow_methods import NAMES
+    from phoslab.render.renderer import DEBUG_NAMES
     from phoslab.render.solvers import SOLVERS
     from phoslab.render.state_formats import FORMATS
 
     assert command.SOLVERS == tuple(SOLVERS)
     assert command.FORMATS == tuple(FORMATS)
-    assert command.PASSES == tuple(p.name for p in PASSES)
+    assert command.PASSES == DEBUG_NAMES
+    assert command.METHODS == NAMES
+    assert command.BASIS == SUFFIX
 
 
 @pytest.mark.parametrize(
@@ -75,6 +79,10 @@ def test_the_command_line_knows_the_names_that_the_renderer_knows():
         (["--step", "0"], "'0' is no positive number of seconds"),
         (["--step", "nan"], "'nan' is no positive number of seconds"),
         (["--step", "soon"], "'soon' is no positive number of seconds"),
+        (["--gi", "magic"], "invalid choice: 'magic'"),
+        (["--directions", "0"], "'0' is no whole number from 1"),
+        (["--samples", "1.5"], "'1.5' is no whole number from 1"),
+        (["--filter", "3"], "invalid choice: 3"),
         (["--debug", "nothing"], "'nothing' is no pass"),
         (["--debug", ","], "',' names nothing"),
         (["-o", "glow.jpg"], "'glow.jpg' is no file name that ends in .png or .exr"),
@@ -95,6 +103,8 @@ def test_bad_usage_exits_with_2_before_the_scene_is_looked_at(tmp_path, capsys, 
     [
         (["--at", "off-20s"], "'off-20s' is before the scene begins"),
         (["--at", "9", "--solver", "euler", "--step", "1000"], "overshoots"),
+        (["--gi", "tiles", "--directions", "1000"], "the number of directions is 1000"),
+        (["--gi", "tiles", "--cell", "nan"], "the cells' radius is nan"),
     ],
 )
 def test_an_error_is_one_sentence_and_exit_code_1(scene, tmp_path, capsys, arguments, says):

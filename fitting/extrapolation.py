@@ -1,0 +1,97 @@
+"""What the data allow beyond their last value: a band that no number of states is assumed for.
+
+Every decay that only falls, and falls ever more slowly, is a sum of exponentials with non-negative amplitudes
+(Bernstein). The band at a time is the least and the largest value that any such sum takes there while it fits the
+data not worse than the best by more than chance. With the rates on a fine grid that is a convex problem: χ² as a
+function of the value asked for, by non-negative least squares. A fitted offset counts as known: nothing tells a
+constant light of the sample from one of the room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from phoslab.fitting.decay import DecayFit, exposed_decay, misfit
+
+Array = NDArray[np.float64]
+
+_PER_DECADE = 12
+_LIMIT = 3.841  # 95 % of chi² with one degree of freedom
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """The signal at a time, and the band that the data allow.
+
+    Args:
+        t_s: when.
+        value: (n_channels,) the fit continued, offset left out.
+        low, high: (n_channels,) the band of 95 %.
+        inside: whether the time lies within the data.
+    """
+
+    t_s: float
+    value: Array
+    low: Array
+    high: Array
+    inside: bool
+
+
+def beyond(fit: DecayFit, t_s: float) -> Beyond:
+    """Return the glow of each channel at `t_s`, and the band that the data allow whatever the number of states."""
+    data = fit.data
+    end = max(t_s, data.end_s)
+    steps = np.diff(np.sort(data.t_s))
+    shortest = float(steps[steps > 0].min()) if (steps > 0).any() else data.end_s
+    low, high = 1e-3 / end, 10 / shortest
+    rates = np.geomspace(low, high, int(_PER_DECADE * np.log10(high / low)) + 2)
+    rates = np.concatenate([[0.0], np.unique(np.concatenate([rates, fit.kr_per_s]))])
+    g, _ = exposed_decay(rates, data.t_s, data.exposure_s)
+    at = np.exp(-rates * t_s)
+    value = np.exp(-fit.kr_per_s * t_s) @ fit.amplitude
+    ends = np.zeros((2, len(value)))
+    for c in range(len(value)):
+        used = data.used[:, c]
+        w = 1 / data.total_sigma[used, c]
+        phi, y = w[:, None] * g[used], w * (data.signal[used, c] - fit.offset[c])
+        ends[:, c] = _extremes(phi, y, at, fit)
+    return Beyond(t_s, value, ends[0], ends[1], t_s <= data.end_s)
+
+
+def _extremes(phi: Array, y: Array, at: Array, fit: DecayFit) -> tuple[float, float]:
+    """Return the least and largest value of `at` · x over x >= 0 with chi² within the limit."""
+    x, norm = nnls(phi, y, maxiter=50 * phi.shape[1])
+    bar = norm**2 + _LIMIT * misfit(fit.chi2, fit.dof)
+    middle = float(at @ x)
+    # A row so heavy that the value is met to 1e-6 of a typical residual.
+    scale = max(middle, float(np.abs(y).max() / np.linalg.norm(phi, axis=0).max()) * 1e-9)
+    heavy = 1e3 * max(1.0, float(np.sqrt(bar))) / scale
+
+    def chi2(value: float) -> float:
+        A = np.concatenate([phi, heavy * at[None]])
+        found, _ = nnls(A, np.append(y, heavy * value), maxiter=50 * phi.shape[1])
+        return float(np.sum((y - phi @ found) ** 2)) if abs(at @ found - value) < 0.01 * scale else np.inf
+
+    top = middle + scale
+    for _ in range(60):
+        if chi2(top) > bar:
+            break
+        top = middle + 2 * (top - middle)
+    return _crossing(chi2, bar, middle, 0.0), _crossing(chi2, bar, middle, top)
+
+
+def _crossing(chi2: Callable[[float], float], bar: float, inner: float, outer: float) -> float:
+    """Bisect for the value between, at which chi² passes the bar; the outer one if it never does."""
+    if chi2(outer) <= bar:
+        return outer
+    for _ in range(40):
+        middle = (inner + outer) / 2
+        inner, outer = (middle, outer) if chi2(middle) <= bar else (inner, middle)
+        if abs(outer - inner) <= 1e-4 * max(abs(outer), abs(inner)):
+            break
+    return (inner + outer) / 2

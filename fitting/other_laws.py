@@ -1,0 +1,82 @@
+"""Other laws of decay, as a diagnosis beside the exponentials: they cannot be simulated under changing light.
+
+stretched exponential    S(t) = A exp(-(k t)^β)           (Kohlrausch 1854)
+Becquerel                S(t) = A (1 + t/τ)^-p            (Becquerel 1861; p = 2 for traps emptied by pairs)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.fitting import varpro
+from phoslab.fitting.decay import DecayData
+
+Array = NDArray[np.float64]
+
+# Mean over an exposure: smooth laws over a short time, to 1e-9.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+
+
+@dataclass(frozen=True)
+class OtherLaw:
+    """A fitted law: its name, its parameters by name, chi² and AICc to compare with the exponentials'."""
+
+    name: str
+    parameters: dict[str, float]
+    chi2: float
+    aicc: float
+
+
+def _stretched(theta: Array, t: Array) -> tuple[Array, Array]:
+    k, beta = np.exp(theta)
+    u = (k * t) ** beta
+    f = np.exp(-u)
+    log_u = np.log(u, out=np.zeros_like(u), where=u > 0)
+    return f, np.stack([-beta * u * f, -u * log_u * f])
+
+
+def _becquerel(theta: Array, t: Array) -> tuple[Array, Array]:
+    tau, p = np.exp(theta)
+    x = t / tau
+    f = (1 + x) ** -p
+    return f, np.stack([p * x / (1 + x) * f, -p * np.log1p(x) * f])
+
+
+_Law = Callable[[Array, Array], tuple[Array, Array]]
+_LAWS: dict[str, tuple[_Law, tuple[str, str]]] = {
+    "stretched exponential": (_stretched, ("k_per_s", "beta")),
+    "Becquerel": (_becquerel, ("tau_s", "p")),
+}
+
+
+def fit_other_laws(data: DecayData) -> list[OtherLaw]:
+    """Fit each law with its shape shared by the channels, an amplitude a channel; none if there are too few values."""
+    weight = np.where(data.used, 1 / data.total_sigma, 0.0).T  # (n_channels, n)
+    y = weight * np.where(data.used, data.signal, 0.0).T
+    inside = data.t_s[:, None] + data.exposure_s[:, None] * (1 + _NODES) / 2  # (n, nodes)
+    found = []
+    for name, (law, names) in _LAWS.items():
+        n_parameters = 2 + len(y)
+        if data.n_values <= n_parameters + 1:
+            continue
+
+        def basis(theta: Array, law: _Law = law) -> tuple[Array, Array]:
+            f, df = law(theta, inside)
+            mean, d_mean = f @ _WEIGHTS / 2, df @ _WEIGHTS / 2
+            return (weight * mean)[:, :, None], (weight * d_mean[:, None, :])[..., None]
+
+        starts = [
+            [np.log(scale * data.end_s if name == "Becquerel" else 1 / (scale * data.end_s)), np.log(shape)]
+            for scale in (0.01, 0.1, 0.5)
+            for shape in ((1.0, 2.0) if name == "Becquerel" else (0.4, 0.8))
+        ]
+        best = min((varpro.solve(basis, y, np.array(s), polish=False) for s in starts), key=lambda s: s.chi2)
+        p, n = n_parameters, data.n_values
+        aicc = best.chi2 + 2 * p + 2 * p * (p + 1) / (n - p - 1)
+        values = dict(zip(names, np.exp(best.theta).tolist(), strict=True))
+        found.append(OtherLaw(name, values, best.chi2, aicc))
+    return found

@@ -1,0 +1,193 @@
+"""Classes of photoluminescent safety signs, estimated from a decay of luminance.
+
+The tables come from secondary sources (data sheets and guides that quote the standards), not from the standards. What
+comes out is an estimate and no certification: a test house measures with the standard's own lamp, geometry and
+temperature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.errors import PhoslabError
+from phoslab.fitting.decay import DecayData
+
+Array = NDArray[np.float64]
+
+SOURCE = "The class tables come from secondary sources. This is an estimate, not certification."
+
+
+@dataclass(frozen=True)
+class Standard:
+    """A standard's excitation, and the least luminance in mcd/m² of each class at its times.
+
+    Args:
+        name: of the standard.
+        excitation: what charges the sample, in words.
+        illuminance_lx, duration_s: the same in numbers.
+        minutes: after the light went off.
+        classes: least luminance at those minutes, lowest class first.
+    """
+
+    name: str
+    excitation: str
+    illuminance_lx: float
+    duration_s: float
+    minutes: tuple[float, ...]
+    classes: Mapping[str, tuple[float, ...]]
+
+
+STANDARDS = (
+    Standard(
+        "PSPA", "xenon, 1000 lx for 5 min", 1000.0, 300.0, (2, 10, 30, 60),
+        {"A": (108, 23, 7, 3), "B": (210, 50, 15, 7), "C": (690, 140, 45, 20), "D": (1100, 260, 85, 35),
+         "E": (1800, 400, 120, 55), "F": (2300, 520, 155, 70), "G": (3000, 650, 190, 80)},
+    ),
+    Standard(
+        "JIS Z 9107", "200 lx for 20 min", 200.0, 1200.0, (2, 10, 20, 30, 60),
+        {"JA": (210, 50, 24, 15, 7), "JB": (440, 105, 50, 31, 15), "JC": (880, 210, 100, 62, 30),
+         "JD": (1760, 420, 200, 124, 60)},
+    ),
+    # How long the 25 lx shine is not in the sources at hand.
+    Standard("IMO / ISO 15370", "25 lx", 25.0, float("nan"), (10, 60), {"pass": (15, 2)}),
+)  # fmt: skip
+
+# Visible end of a DIN 67510 decay: a hundred times the threshold of the dark-adapted eye.
+DIN_THRESHOLD_MCD = 0.3
+
+# A value exactly at a limit reaches it, whatever float64 makes of exp(log(x)).
+_AT = 1 - 1e-9
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a standard would say.
+
+    Args:
+        standard: its name.
+        verdict: the class, "below the lowest class", "insufficient data", or "not comparable".
+        reason: one sentence.
+        luminance_mcd: by minute, where the data reach.
+    """
+
+    standard: str
+    verdict: str
+    reason: str
+    luminance_mcd: Mapping[float, float]
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """How the sample was charged: illuminance in lx and duration in s; None where nobody says."""
+
+    illuminance_lx: float | None = None
+    duration_s: float | None = None
+
+
+def measured(data: DecayData, channel: int, scale: float) -> tuple[Callable[[Array], Array], float]:
+    """Return luminance as a function of time, read off measured values, and the last time that they reach.
+
+    Between values log L is a straight line over log t: a power law, which long decays are piecewise. No sum of
+    exponentials is fitted: over an hour and five decades it would miss just the values that decide.
+
+    Raises:
+        PhoslabError: fewer than two positive values.
+    """
+    used = data.used[:, channel] & (data.signal[:, channel] > 0)
+    if used.sum() < 2:
+        raise PhoslabError(
+            "has fewer than two positive values",
+            field=data.channels[channel],
+            remedy="Measure more of the decay.",
+        )
+    t, values = data.t_s[used], scale * data.signal[used, channel]
+    # The first value may be at t = 0, whose logarithm is none: count from the first interval on.
+    origin = float(t[t > 0].min()) if (t > 0).any() else 1.0
+
+    def luminance(at: Array) -> Array:
+        return np.asarray(np.exp(np.interp(np.log(at + origin), np.log(t + origin), np.log(values))))
+
+    return luminance, float(t[-1])
+
+
+def classify(
+    luminance_mcd: Callable[[Array], Array], reaches_s: float, excitation: Excitation
+) -> list[Verdict]:
+    """Return what each standard would say of a decay.
+
+    Args:
+        luminance_mcd: luminance in mcd/m² at (n,) times in s after the light went off.
+        reaches_s: the last time that data support.
+        excitation: how the sample was charged.
+    """
+    return [*(_judge(s, luminance_mcd, reaches_s, excitation) for s in STANDARDS)]
+
+
+def _judge(
+    standard: Standard, luminance_mcd: Callable[[Array], Array], reaches_s: float, excitation: Excitation
+) -> Verdict:
+    reached = [m for m in standard.minutes if m * 60 <= reaches_s * (1 + 1e-9)]
+    values = luminance_mcd(np.array(reached) * 60.0) if reached else np.zeros(0)
+    seen = dict(zip(reached, values.tolist(), strict=True))
+    differs = _differs(standard, excitation)
+    if differs:
+        return Verdict(standard.name, "not comparable", differs, seen)
+    # A class is lost at the first time that falls short, however little of the decay is known.
+    possible = {
+        name: all(
+            seen[m] >= least * _AT for m, least in zip(standard.minutes, limits, strict=True) if m in seen
+        )
+        for name, limits in standard.classes.items()
+    }
+    kept = [name for name, fits in possible.items() if fits]
+    lowest = next(iter(standard.classes))
+    if not kept:
+        reason = f"it falls short of {lowest} within the time measured"
+        return Verdict(standard.name, "below the lowest class", reason, seen)
+    if len(reached) < len(standard.minutes):
+        missing = [m for m in standard.minutes if m not in seen]
+        reason = (
+            f"the data end at {reaches_s / 60:.3g} min; {', '.join(f'{m:g}' for m in missing)} min are needed"
+            + (f" (so far it could be {kept[-1]})" if seen else "")
+        )
+        return Verdict(standard.name, "insufficient data", reason, seen)
+    return Verdict(standard.name, kept[-1], f"at or above its limits at {_and(standard.minutes)} min", seen)
+
+
+def _differs(standard: Standard, excitation: Excitation) -> str | None:
+    """Return why an excitation is not the standard's, or None."""
+    if excitation.illuminance_lx is None:
+        return f"the standard charges with {standard.excitation}; how this sample was charged is not said"
+    wrong = abs(excitation.illuminance_lx / standard.illuminance_lx - 1) > 0.05
+    said = f"{excitation.illuminance_lx:g} lx"
+    if np.isfinite(standard.duration_s):
+        if excitation.duration_s is None:
+            return (
+                f"the standard charges with {standard.excitation}; for how long this sample was is not said"
+            )
+        wrong = wrong or abs(excitation.duration_s / standard.duration_s - 1) > 0.05
+        said += f" for {excitation.duration_s / 60:g} min"
+    return f"the standard charges with {standard.excitation}, this sample had {said}" if wrong else None
+
+
+def din_label(luminance_mcd: Callable[[Array], Array], reaches_s: float) -> str | None:
+    """Return a label in the style of DIN 67510: L at 10 min / L at 60 min - minutes until 0.3 mcd/m².
+
+    A part that the data do not reach is "?"; None where they do not even reach 10 min.
+    """
+    if reaches_s < 600:
+        return None
+    first = f"{float(luminance_mcd(np.array([600.0]))[0]):.3g}"
+    second = f"{float(luminance_mcd(np.array([3600.0]))[0]):.3g}" if reaches_s >= 3600 else "?"
+    t = np.geomspace(60.0, reaches_s, 4000)
+    below = np.flatnonzero(luminance_mcd(t) < DIN_THRESHOLD_MCD)
+    end = f"{t[below[0]] / 60:.0f}" if below.size else "?"
+    return f"{first}/{second}-{end}"
+
+
+def _and(minutes: tuple[float, ...]) -> str:
+    return ", ".join(f"{m:g}" for m in minutes)

@@ -1,0 +1,135 @@
+"""Estimate the class of a photoluminescent sign from its decay: a table of luminance, or a material."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+HELP = "luminance decay against the classes of safety signs"
+EXAMPLE = "phoslab classify decay.csv --unit mcd/m2 --lux 1000 --minutes 5"
+
+_MCD = {"mcd/m2": 1.0, "cd/m2": 1000.0}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("decay", type=Path, metavar="MATERIAL.json|DECAY.csv", help="what glows")
+    parser.add_argument(
+        "--unit",
+        choices=[*_MCD, "relative"],
+        default="relative",
+        help="of a table's values (default: relative, which tells ratios only)",
+    )
+    parser.add_argument("--channel", help="the table's column of luminance (default: its only one)")
+    parser.add_argument("--lux", type=_positive, help="illuminance that charged the sample, in lx")
+    parser.add_argument("--minutes", type=_positive, help="how long it was charged")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is no positive number")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    import json
+    import math
+    from collections.abc import Callable
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from phoslab.errors import PhoslabError, printable
+    from phoslab.fitting import photometric_class as pc
+
+    Array = NDArray[np.float64]
+    is_material = args.decay.suffix == ".json"
+    if is_material:
+        from phoslab.kinetics import emitted_radiance
+        from phoslab.material import Material
+        from phoslab.photometry import luminance
+
+        material = Material.load(args.decay)
+        absolute = material.calibration == "absolute"
+        reach = (material.valid_s or (0.0, math.inf))[1]
+
+        def glow_of_material(t_s: Array) -> Array:
+            full = np.exp(-np.outer(t_s, material.kr_per_s))  # r(0) = 1: the material says no other
+            return np.asarray(1e3 * luminance(emitted_radiance(material, full), material.bands))
+
+        glow: Callable[[Array], Array] = glow_of_material
+        flags: tuple[str, ...] = ()
+        note = "every state full when the light went off; the glow is the material's own"
+    else:
+        from phoslab.fitting.screening import screen
+        from phoslab.fitting.table import read_table
+
+        screened = screen(read_table(args.decay))
+        data, flags = screened.data, screened.flags
+        channel = _channel(args.channel, data.channels, args.decay)
+        absolute = args.unit != "relative"
+        glow, reach = pc.measured(data, channel, _MCD.get(args.unit, 1.0))
+        note = f"measured values of {data.channels[channel]}, straight lines in log L over log t between them"
+    if not math.isfinite(reach):
+        raise PhoslabError(
+            "does not say how far its data reach",
+            file=args.decay,
+            field="valid_s",
+            remedy="Give [first, last] in s.",
+        )
+    first = 0.0 if is_material else float(data.t_s[0])
+    excitation = pc.Excitation(args.lux, None if args.minutes is None else 60 * args.minutes)
+    known = [m for m in (2.0, 10.0, 20.0, 30.0, 60.0) if 60 * m <= reach]
+    values = glow(np.array([first, *(60 * m for m in known)])).tolist()
+    ratios = {f"{m:g} min": v / values[0] for m, v in zip(known, values[1:], strict=True)}
+    verdicts = pc.classify(glow, reach, excitation) if absolute else []
+    label = pc.din_label(glow, reach) if absolute else None
+    if args.json:
+        print(
+            json.dumps(
+                {
+                    "absolute": absolute,
+                    "reaches_s": reach,
+                    "of_the_start": ratios,
+                    "verdicts": [{**vars(v), "luminance_mcd": dict(v.luminance_mcd)} for v in verdicts],
+                    "din_67510_style": label,
+                    "flags": list(flags),
+                    "note": pc.SOURCE,
+                },
+                allow_nan=False,
+            )
+        )
+        return 0
+    print(printable(f"{args.decay.name}: {note}; data reach to {reach / 60:.3g} min"))
+    if not absolute:
+        shares = ", ".join(f"{share:.2%} at {when}" for when, share in ratios.items()) or "none before 2 min"
+        print(f"Calibrated only relatively: no class can be given, only shares of the start: {shares}.")
+        print("For a table of luminance say --unit mcd/m2; a material needs an absolute calibration.")
+    for v in verdicts:
+        measured = ", ".join(f"{x:.3g} at {m:g} min" for m, x in v.luminance_mcd.items())
+        print(f"  {v.standard:16} {v.verdict}: {v.reason}" + (f"  [mcd/m2: {measured}]" if measured else ""))
+    if absolute:
+        print(f"  DIN 67510 style  {label or 'insufficient data: 10 min are needed'}")
+    for flag in flags:
+        print(f"  {flag}")
+    print(pc.SOURCE)
+    return 0
+
+
+def _channel(name: str | None, channels: tuple[str, ...], file: Path) -> int:
+    from phoslab.errors import PhoslabError
+
+    if name is None and len(channels) == 1:
+        return 0
+    if name not in channels:
+        raise PhoslabError(
+            f"has the channels {', '.join(channels)}",
+            file=file,
+            field="--channel",
+            remedy="Name the one of luminance.",
+        )
+    return channels.index(name)

@@ -1,0 +1,115 @@
+"""Light that phosphorescent surfaces send and others reflect: what every way to compute it has in common.
+
+A way is one class in one file and one line in `glow_methods.METHODS`. It is given the scene as the other passes have
+it, and adds to the radiance of every sample what that sample reflects of the glow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import moderngl
+
+from phoslab.errors import PhoslabError
+from phoslab.render.atlas_geometry import AtlasGeometry
+from phoslab.render.atlas_glow import AtlasGlow
+from phoslab.render.device import Device
+from phoslab.render.gbuffer import GBuffer
+from phoslab.render.gpu_scene import GpuDrawable
+from phoslab.render.passes import Picture
+from phoslab.render.scene import Scene
+
+NONE = "none"
+
+# Of a pixel: at 512² already half a gigabyte of what they meet.
+MOST_DIRECTIONS = 256
+FILTER_RADII = (0, 2, 4, 8)
+
+
+@dataclass(frozen=True)
+class TransportParameters:
+    """How glow reaches other surfaces.
+
+    Args:
+        method: a name in `glow_methods.METHODS`, or "none".
+        directions: in which a pixel looks for glow, 1 to 256 (tiles).
+        guided: the share of the directions that aim at what may send light (tiles).
+        filter_px: pixels to each side over which a pixel shares its neighbours' directions: 0, 2, 4 or 8 (tiles).
+        cell: the radius of the smallest cell, as a share of the scene's (tiles).
+        detail: the radius over the distance that no cell exceeds, unless it is one of the smallest (tiles).
+        samples: light paths a pixel (reference).
+        full: follow light to the end, not for one reflection alone (reference).
+    """
+
+    method: str = NONE
+    directions: int = 8
+    guided: float = 0.5
+    filter_px: int = 4
+    cell: float = 1 / 40
+    detail: float = 0.3
+    samples: int = 256
+    full: bool = False
+
+    def __post_init__(self) -> None:
+        self._check("the number of directions", self.directions, 1, MOST_DIRECTIONS)
+        self._check("the share of guided directions", self.guided, 0.0, 1.0)
+        self._check("the number of samples", self.samples, 1, 1 << 20)
+        self._check("the cells' radius", self.cell, 1e-3, 1.0)
+        self._check("the cells' detail", self.detail, 1e-2, 1.0)
+        if self.filter_px not in FILTER_RADII:
+            raise PhoslabError(
+                f"is {self.filter_px} pixels",
+                field="the filter's radius",
+                remedy=f"Use one of: {', '.join(map(str, FILTER_RADII))}.",
+            )
+
+    @staticmethod
+    def _check(field: str, value: float, low: float, high: float) -> None:
+        if not low <= value <= high:
+            raise PhoslabError(f"is {value:g}", field=field, remedy=f"Use {low:g} to {high:g}.")
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What glow meets: the scene as the renderer holds it.
+
+    Args:
+        drawables: everything that reflects and blocks.
+        atlases: one a phosphor: what lies under its texels.
+        glows: one a phosphor: what its texels send.
+        gbuffer: what the camera sees.
+        size: (width, height) of the picture in pixels.
+        supersampling: samples along the side of a pixel.
+    """
+
+    scene: Scene
+    drawables: Sequence[GpuDrawable]
+    atlases: Sequence[AtlasGeometry]
+    glows: Sequence[AtlasGlow]
+    gbuffer: GBuffer
+    size: tuple[int, int]
+    supersampling: int
+
+
+class GlowTransport(Protocol):
+    """One way to bring glow to the surfaces that the camera sees."""
+
+    name: ClassVar[str]
+
+    def __init__(
+        self, device: Device, surroundings: Surroundings, parameters: TransportParameters
+    ) -> None: ...
+
+    def prepare(self) -> None:
+        """Do what holds while nothing moves: the G-buffer and the atlases are drawn."""
+        ...
+
+    def run(self, radiance: moderngl.TextureArray) -> None:
+        """Add to the samples of `radiance` what they reflect of the glows' radiance."""
+        ...
+
+    def debug_views(self) -> dict[str, Picture]:
+        """Return pictures of what the last run made."""
+        ...

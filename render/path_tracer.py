@@ -1,0 +1,226 @@
+"""Mitsuba 3 as the judge: a scene of meshes whose texels send light, followed along random paths.
+
+Transport is linear and knows no wavelengths here, so K bands are traced three at a time in a variant of three
+channels, with textures taken as they are. Emission is scaled to 1 before and back after: float32 then serves at any
+brightness.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.errors import PhoslabError
+from phoslab.render.gltf import GltfCamera
+
+Array = NDArray[np.float64]
+Texels = NDArray[np.float32]
+
+# Mitsuba's vectorised variant compiles with LLVM: older ones than this end the process instead of failing.
+OLDEST_LLVM = 16
+LLVM, SCALAR = "llvm_ad_rgb", "scalar_rgb"
+LLVM_FOLDERS = (
+    "/usr/lib/x86_64-linux-gnu",
+    "/usr/lib/aarch64-linux-gnu",
+    "/usr/lib64",
+    "/usr/lib/llvm-*/lib",
+)
+
+# Paths that the vectorised variant follows at once: some 100 bytes each.
+MOST_AT_ONCE = 1 << 23
+UNLIMITED = -1
+
+
+@dataclass(frozen=True, eq=False)
+class TracedMesh:
+    """A mesh in world space that reflects, on both sides, and may send light from its outside.
+
+    Args:
+        positions: (n, 3) in m.
+        normals: (n, 3), of length 1.
+        triangles: (m, 3).
+        uv: (n, 2); one-to-one where the mesh sends.
+        reflectance: (h, w, K) in [0, 1]; row 0 is v = 0.
+        repeat: whether the reflectance repeats beyond [0, 1].
+        radiance: (h, w, K) what its texels send, nearest; or None.
+    """
+
+    positions: Texels
+    normals: Texels
+    triangles: NDArray[np.uint32]
+    uv: Texels
+    reflectance: Texels
+    repeat: bool = True
+    radiance: Texels | None = None
+
+
+def trace(
+    meshes: Sequence[TracedMesh],
+    camera: GltfCamera,
+    size: tuple[int, int],
+    *,
+    reflections: int,
+    samples: int,
+    seed: int = 0,
+    direct: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> Texels:
+    """Return (h, w, K) the radiance that reaches the camera, top row first: the mean over each pixel.
+
+    Args:
+        size: (width, height) in pixels.
+        reflections: the most on a path; `UNLIMITED` follows light to its end.
+        samples: paths a pixel.
+        direct: whether light that comes without a reflection counts.
+        progress: called with (bands done, bands in all).
+
+    Raises:
+        PhoslabError: Mitsuba is not installed.
+    """
+    mi = _mitsuba()
+    n_bands = meshes[0].reflectance.shape[-1]
+    brightest = max((float(m.radiance.max()) for m in meshes if m.radiance is not None), default=0.0)
+    picture = np.zeros((size[1], size[0], n_bands), dtype=np.float32)
+    if brightest == 0.0 or (reflections == 0 and not direct):
+        return picture
+    for first in range(0, n_bands, 3):
+        bands = np.minimum(np.arange(first, first + 3), n_bands - 1)
+        if not any(m.radiance is not None and m.radiance[..., bands].any() for m in meshes):
+            continue
+        scene = mi.load_dict(_describe(mi, meshes, camera, size, bands, 1.0 / brightest))
+        depths = [(1.0, reflections + 1 if reflections >= 0 else UNLIMITED)]
+        # The same seed gives the same rays from the camera, so what comes directly cancels to the last bit.
+        if not direct:
+            depths.append((-1.0, 1))
+        for sign, depth in depths:
+            part = _render(mi, scene, depth, samples, seed, size)
+            n = min(3, n_bands - first)
+            picture[..., first : first + n] += np.float32(sign * brightest) * part[..., :n]
+        if progress is not None:
+            progress(min(first + 3, n_bands), n_bands)
+    return picture
+
+
+def _render(mi: Any, scene: Any, depth: int, samples: int, seed: int, size: tuple[int, int]) -> Texels:
+    integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": 16})
+    at_once = max(1, min(samples, MOST_AT_ONCE // (size[0] * size[1])))
+    total = np.zeros((size[1], size[0], 3))
+    done = part = 0
+    while done < samples:
+        n = min(at_once, samples - done)
+        total += n * np.asarray(mi.render(scene, integrator=integrator, spp=n, seed=seed + part))
+        done, part = done + n, part + 1
+    return (total / samples).astype(np.float32)
+
+
+def _describe(
+    mi: Any,
+    meshes: Sequence[TracedMesh],
+    camera: GltfCamera,
+    size: tuple[int, int],
+    bands: NDArray[np.intp],
+    scale: float,
+) -> dict[str, Any]:
+    # Mitsuba's camera looks along its +z, glTF's along -z; both have y up.
+    turn = np.diag([-1.0, 1.0, -1.0, 1.0])
+    scene: dict[str, Any] = {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "to_world": mi.ScalarTransform4f((np.linalg.inv(camera.world_to_view) @ turn).tolist()),
+            "fov_axis": "y",
+            "fov": float(np.rad2deg(camera.yfov_rad)),
+            "near_clip": camera.near_m,
+            "film": {
+                "type": "hdrfilm",
+                "width": size[0],
+                "height": size[1],
+                "rfilter": {"type": "box"},
+                "pixel_format": "rgb",
+                "component_format": "float32",
+            },
+            "sampler": {"type": "independent"},
+        },
+    }
+    for k, mesh in enumerate(meshes):
+        scene[f"mesh{k}"] = _mesh(mi, f"mesh{k}", mesh, bands, scale)
+    return scene
+
+
+def _mesh(mi: Any, name: str, mesh: TracedMesh, bands: NDArray[np.intp], scale: float) -> Any:
+    wrap = "repeat" if mesh.repeat else "clamp"
+    smooth = "bilinear" if mesh.reflectance.shape[:2] != (1, 1) else "nearest"
+    reflectance = _bitmap(mi, mesh.reflectance[..., bands], wrap, smooth)
+    properties = mi.Properties()
+    properties["mesh_bsdf"] = mi.load_dict(
+        {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
+    )
+    # An emitter that sends nothing would make Mitsuba divide by 0.
+    if mesh.radiance is not None and mesh.radiance[..., bands].any():
+        radiance = _bitmap(mi, mesh.radiance[..., bands] * np.float32(scale), "clamp", "nearest")
+        properties["mesh_emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
+    shape = mi.Mesh(
+        name, len(mesh.positions), len(mesh.triangles), properties, has_vertex_normals=True,
+        has_vertex_texcoords=True,
+    )  # fmt: skip
+    values = mi.traverse(shape)
+    values["vertex_positions"] = np.ravel(mesh.positions)
+    values["vertex_normals"] = np.ravel(mesh.normals)
+    values["vertex_texcoords"] = np.ravel(mesh.uv)
+    values["faces"] = np.ravel(mesh.triangles)
+    values.update()
+    return shape
+
+
+def _bitmap(mi: Any, texels: Texels, wrap: str, filter_type: str) -> dict[str, Any]:
+    bitmap = mi.Bitmap(np.ascontiguousarray(texels, dtype=np.float32))
+    return {
+        "type": "bitmap",
+        "bitmap": bitmap,
+        "raw": True,
+        "filter_type": filter_type,
+        "wrap_mode": wrap,
+    }
+
+
+@cache
+def _mitsuba() -> Any:
+    """Load Mitsuba in its faster variant where there is an LLVM for it.
+
+    Raises:
+        PhoslabError: it is not installed.
+    """
+    llvm = find_llvm()
+    if llvm is not None:
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(llvm)
+    try:
+        import mitsuba
+    except ImportError as error:
+        raise PhoslabError(
+            "is not installed", field="the path tracer mitsuba", remedy="pip install 'phoslab[reference]'"
+        ) from error
+    mitsuba.set_variant(SCALAR if llvm is None else LLVM)
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    return mitsuba
+
+
+def find_llvm() -> Path | None:
+    """Return the LLVM library that `DRJIT_LIBLLVM_PATH` names, or the newest in the usual folders; None: too old."""
+    named = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if named:
+        return Path(named)
+    found: list[tuple[int, Path]] = []
+    for folder in LLVM_FOLDERS:
+        for path in Path("/").glob(f"{folder[1:]}/libLLVM*.so*"):
+            version = re.search(r"(\d+)", path.name.removeprefix("libLLVM"))
+            if version is not None and int(version[1]) >= OLDEST_LLVM:
+                found.append((int(version[1]), path))
+    return max(found)[1] if found else None

@@ -1,0 +1,143 @@
+#version 430
+// The nearest cell in each of a pixel's directions, of those that its group was given: a z-buffer in registers.
+//
+// The first AIMLESS directions crowd as the cosine; the others aim at points of cells that may send light. Both are one
+// sample by the balance heuristic (Veach and Guibas 1995): a ray's density is known, since every cell that it pierces
+// is met in the loop, and may have been what it was aimed at.
+layout(local_size_x = 16, local_size_y = 16) in;
+#include "receivers.glsl"
+#include "tiles.glsl"
+
+struct Test {
+    vec4 N, U, V; // distance from the plane, and shares of the sides, of a point
+    vec4 more;    // error, the most of u + v
+};
+
+struct Cell {
+    vec4 sphere;
+    vec4 a, b, c;
+    vec4 more; // error, is triangle
+};
+
+layout(std430, binding = 0) readonly buffer Groups { Group groups[]; };
+layout(std430, binding = 1) readonly buffer Tests { Test tests[]; };
+layout(std430, binding = 2) readonly buffer Ends { uint ends[]; }; // where each group's list begins; one more
+layout(std430, binding = 3) readonly buffer Lists { uint lists[]; };
+layout(std430, binding = 4) readonly buffer Points { vec2 points[]; }; // of the unit square; DIRECTIONS a place
+layout(std430, binding = 5) writeonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: cell + 1, or 0; weight
+layout(std430, binding = 6) buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless
+layout(std430, binding = 7) readonly buffer Guides { vec2 guides[]; }; // beside lists: per area, and summed
+layout(std430, binding = 8) readonly buffer Walk { Cell cells[]; };
+
+uniform ivec2 tiles;
+uniform int first; // of the BATCH directions of this run: more at once would leave the registers
+
+const float PARALLEL = 0.8;
+const float PROTRUDING = 4.0; // errors of a likeness within which it may be the receiver's own surface
+const float COPLANAR = 2e-5;
+const float INV_PI = 0.318309886;
+const float SHARE = float(AIMLESS) / float(DIRECTIONS);
+const float EDGE = 1e-5; // neighbouring cells overlap by this share, so that no ray slips between
+
+// An orthonormal basis around n (Duff et al. 2017).
+void find_basis(vec3 n, out vec3 x, out vec3 y) {
+    float s = n.z >= 0.0 ? 1.0 : -1.0;
+    float a = -1.0 / (s + n.z), b = n.x * n.y * a;
+    x = vec3(1.0 + s * n.x * n.x * a, s * b, -s * n.x);
+    y = vec3(b, s + n.y * n.y * a, -n.y);
+}
+
+// The direction about +z to a point of the unit square: its density is the cosine over π.
+vec3 on_hemisphere(vec2 u) {
+    float angle = 6.28318531 * u.y;
+    return vec3(sqrt(u.x) * vec2(cos(angle), sin(angle)), sqrt(1.0 - u.x));
+}
+
+// The direction from o to a point of one of the list's cells, chosen by what they promise.
+vec3 aim(vec3 o, vec2 u, uint begin, uint end, float total) {
+    float wanted = u.x * total;
+    uint low = begin, high = end - 1u;
+    while (low < high) {
+        uint middle = (low + high) / 2u;
+        if (guides[middle].y > wanted) high = middle; else low = middle + 1u;
+    }
+    float before = low > begin ? guides[low - 1u].y : 0.0;
+    float s = clamp((wanted - before) / max(guides[low].y - before, 1e-30), 0.0, 1.0), t = u.y;
+    Cell cell = cells[lists[low]];
+    if (cell.more.y > 0.0) { // a triangle: the square, its far corner folded over
+        float root = sqrt(s);
+        s = root * (1.0 - t);
+        t = root * t;
+    }
+    return normalize(cell.a.xyz + s * (cell.b.xyz - cell.a.xyz) + t * (cell.c.xyz - cell.a.xyz) - o);
+}
+
+void main() {
+    int tile = int(gl_WorkGroupID.y) * tiles.x + int(gl_WorkGroupID.x);
+    int at = 2 * tile + int(gl_WorkGroupID.z);
+    Group group = groups[at];
+    if (group.count == 0.0) return;
+    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy), size = picture_size();
+    vec3 o, n;
+    if (any(greaterThanEqual(pixel, size)) || !find_receiver(pixel, o, n)) return;
+    if (group.axis >= 0.0 && (o[int(group.axis)] > group.divide) != (gl_WorkGroupID.z == 1u)) return;
+
+    uint begin = ends[at], end = ends[at + 1];
+    float total = end > begin ? guides[end - 1u].y : 0.0;
+    float share = total > 0.0 ? SHARE : 1.0; // of the directions that are aimless
+    vec3 x, y, d[BATCH];
+    find_basis(n, x, y);
+    int place = (pixel.y % PATTERN) * PATTERN + pixel.x % PATTERN;
+    float nearest[BATCH], density[BATCH]; // over total
+    uint hit[BATCH];
+    for (int k = 0; k < BATCH; ++k) {
+        vec2 u = points[place * DIRECTIONS + min(first + k, DIRECTIONS - 1)];
+        if (first + k < AIMLESS || total <= 0.0) {
+            vec3 w = on_hemisphere(u);
+            d[k] = w.x * x + w.y * y + w.z * n;
+        } else {
+            d[k] = aim(o, u, begin, end, total);
+        }
+        nearest[k] = 1e30;
+        density[k] = 0.0;
+        hit[k] = 0u;
+    }
+    for (uint m = begin; m < end; ++m) {
+        uint cell = lists[m];
+        Test test = tests[cell];
+        float h = dot(test.N.xyz, o) + test.N.w;
+        if (abs(h) < test.more.x) {
+            // In the cell's plane, or in the surface that it stands for. Where that is another surface than the
+            // receiver's, which meets it in an edge, the receiver is in front.
+            if (abs(dot(test.N.xyz, n)) > PARALLEL) continue;
+            h = test.more.x;
+        } else if (h < 0.0 && h > -PROTRUDING * (test.more.x - COPLANAR) && dot(test.N.xyz, n) > 0.0) {
+            // A likeness of a curved surface protrudes from it, here over a part of the same surface.
+            continue;
+        }
+        float u0 = dot(test.U.xyz, o) + test.U.w, v0 = dot(test.V.xyz, o) + test.V.w;
+        uint seen = h > 0.0 ? cell + 1u : 0u; // a back blocks and is dark
+        float hope = guides[m].x, shortest = PROTRUDING * (test.more.x - COPLANAR);
+        for (int k = 0; k < BATCH; ++k) {
+            float inverse = 1.0 / dot(test.N.xyz, d[k]), t = -h * inverse;
+            float u = u0 + t * dot(test.U.xyz, d[k]), v = v0 + t * dot(test.V.xyz, d[k]);
+            if (t > shortest && min(u, v) >= -EDGE && max(u, v) <= 1.0 + EDGE && u + v <= test.more.y + EDGE) {
+                density[k] += hope * t * t * abs(inverse);
+                if (t < nearest[k]) {
+                    nearest[k] = t;
+                    hit[k] = seen;
+                }
+            }
+        }
+    }
+    int at_pixel = pixel.y * size.x + pixel.x;
+    float near = first == 0 ? 1e-30 : nearness[at_pixel];
+    for (int k = 0; k < BATCH && first + k < DIRECTIONS; ++k) {
+        float cosine = max(dot(d[k], n), 0.0) * INV_PI;
+        float mixed = share * cosine + (1.0 - share) * density[k] / max(total, 1e-30);
+        float weight = cosine > 0.0 ? cosine / mixed : 0.0;
+        hits[at_pixel * DIRECTIONS + first + k] = uvec2(weight > 0.0 ? hit[k] : 0u, floatBitsToUint(weight));
+        if (first + k < max(AIMLESS, 1)) near += 1.0 / nearest[k];
+    }
+    nearness[at_pixel] = near;
+}

@@ -1,0 +1,103 @@
+"""Classes of safety signs from a decay."""
+
+import json
+
+import numpy as np
+import pytest
+
+from phoslab.app import cli
+from phoslab.fitting.decay import DecayData
+from phoslab.fitting.photometric_class import STANDARDS, Excitation, classify, din_label, measured
+
+XENON, TUBE, DIM = Excitation(1000, 300), Excitation(200, 1200), Excitation(25, 900)
+PSPA, JIS, IMO = (s.name for s in STANDARDS)
+
+
+def through(standard, name, factor=1.0):
+    """A decay that passes exactly through a class's limits, times a factor."""
+    s = next(s for s in STANDARDS if s.name == standard)
+    t = np.array(s.minutes) * 60
+    values = np.array(s.classes[name]) * factor
+    return lambda at: np.exp(np.interp(np.log(at), np.log(t), np.log(values)))
+
+
+def verdict(standard, *arguments):
+    return next(v for v in classify(*arguments) if v.standard == standard)
+
+
+@pytest.mark.parametrize(
+    ("standard", "name", "lower", "excitation"),
+    [(PSPA, n, low, XENON) for low, n in zip("ABCDEF", "BCDEFG", strict=True)]
+    + [(JIS, "JD", "JC", TUBE), (JIS, "JB", "JA", TUBE)],
+)
+def test_a_class_begins_at_its_limits_and_ends_just_below(standard, name, lower, excitation):
+    assert verdict(standard, through(standard, name), 3600.0, excitation).verdict == name
+    assert verdict(standard, through(standard, name, 0.999), 3600.0, excitation).verdict == lower
+
+
+def test_one_time_that_falls_short_costs_the_class():
+    good = through(PSPA, "G")
+    assert verdict(PSPA, lambda t: np.where(t > 3000, 40.0, good(t)), 3600.0, XENON).verdict == "D"
+
+
+def test_below_every_class_needs_no_full_hour():
+    v = verdict(PSPA, through(PSPA, "A", 0.5), 700.0, XENON)
+    assert v.verdict == "below the lowest class"
+
+
+def test_a_decay_that_ends_early_is_insufficient_and_says_what_is_missing():
+    v = verdict(PSPA, through(PSPA, "C"), 900.0, XENON)
+    assert v.verdict == "insufficient data"
+    assert "15 min; 30, 60 min are needed (so far it could be C)" in v.reason
+
+
+@pytest.mark.parametrize("other", [TUBE, Excitation(1000, 600), Excitation(1000), Excitation()])
+def test_another_excitation_gives_no_class(other):
+    assert verdict(PSPA, through(PSPA, "G"), 3600.0, other).verdict == "not comparable"
+
+
+def test_imo_asks_for_two_values_after_a_dim_light():
+    assert verdict(IMO, through(IMO, "pass"), 3600.0, DIM).verdict == "pass"
+    assert verdict(IMO, through(IMO, "pass", 0.99), 3600.0, DIM).verdict == "below the lowest class"
+
+
+def test_the_din_label_names_two_luminances_and_the_end_of_sight():
+    def law(t):
+        return 200.0 * (600 / t)  # 200 mcd/m² at 10 min, 0.3 at 400,000 s = 6667 min
+
+    assert din_label(law, 3600.0) == "200/33.3-?"
+    assert din_label(law, 5e5).split("-")[0] == "200/33.3"
+    assert float(din_label(law, 5e5).split("-")[1]) == pytest.approx(
+        6667, rel=3e-3
+    )  # 4000 steps a range of e^9
+    assert din_label(law, 599.0) is None
+
+
+def test_values_between_measured_ones_follow_a_power_law():
+    t = np.geomspace(30, 4000, 30)
+    data = DecayData(t, np.zeros(30), (1e5 / t)[:, None], np.ones((30, 1)), channels=("L",))
+    luminance, reach = measured(data, 0, 1.0)
+    at = np.array([120.0, 600.0, 3600.0])
+    # Lines over log (t + 30 s) instead of log t: curvature between values 17 % apart is below 1e-3.
+    assert luminance(at) == pytest.approx(1e5 / at, rel=1e-3)
+    assert reach == pytest.approx(4000)
+
+
+def test_the_command_says_class_and_that_it_is_no_certificate(tmp_path, capsys):
+    table = tmp_path / "l.csv"
+    t = np.array([10, 60, 120, 600, 1800, 3600.0])
+    table.write_text("t_s,lum\n" + "".join(f"{x},{1e5 / x}\n" for x in t))
+    arguments = ["classify", str(table), "--unit", "mcd/m2", "--lux", "1000", "--minutes", "5", "--json"]
+    assert cli.main(arguments) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert {v["standard"]: v["verdict"] for v in answer["verdicts"]}[PSPA] == "C"  # 833, 167, 56, 28
+    assert "not certification" in answer["note"]
+
+
+def test_a_relative_decay_gives_shares_and_no_class(tmp_path, capsys):
+    table = tmp_path / "l.csv"
+    table.write_text("t_s,lum\n0,100\n60,20\n120,10\n600,1\n")
+    assert cli.main(["classify", str(table)]) == 0
+    said = capsys.readouterr().out
+    assert "no class can be given" in said
+    assert "10.00% at 2 min" in said
