@@ -173,10 +173,10 @@ def _with_discrepancy(problem: Problem) -> _Found:
     reached its end, a model that does not hold is off by some share of the way that is left. At the end it is off by
     much less, but where light is faint by more than the noise: three thousandths of the brightest place count like way
     that is left. So the level at rest is met first, and the way there as well as it can be (Nalbach 2017, 8.4.6, fits
-    "above all the equilibrium level"). τ is what makes chi² of the bright places as large as the number of their values.
+    "above all the equilibrium level"). τ makes chi² of the bright places as large as the number of their values.
 
-    What a frame repeats to counts for each value by itself here: a common error of one frame, of which there are few at
-    the end, would be a cheap way out.
+    What a frame repeats to counts for each value by itself here: a common error of one frame, of which there are few
+    at the end, would be a cheap way out.
     """
     data = problem.data
     fresh, end = problem.fresh, ends(data, problem.fresh)
