@@ -146,7 +146,7 @@ class Steps:
                 field="a time of the excitation series",
                 remedy="Give seconds: lit, from lamp-off to shutter, exposure.",
             )
-        rows = [_row(*map(float, column), lamp) for column in times.T]
+        rows = [_row(float(lit), float(delay), float(exposure), lamp) for lit, delay, exposure in times.T]
         n = max(len(durations) for durations, _, _ in rows)
 
         def padded(k: int) -> Array:

@@ -99,12 +99,6 @@ class ExcitationFit:
         ratio = self.rise_s[:, 1] / self.rise_s[:, 0]
         return float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else float("nan")
 
-    def report(self) -> str:
-        """Return the fit as text; see `fitting.excitation_report`."""
-        from phoslab.fitting.excitation_report import report
-
-        return report(self)
-
 
 def fit_excitation(
     data: ExcitationData,

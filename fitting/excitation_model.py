@@ -102,7 +102,7 @@ class ExcitationData:
     @property
     def n_shapes(self) -> int:
         """How many coefficients make a state's rate over wavelength."""
-        return self.light.shape[1]
+        return int(self.light.shape[1])
 
     @property
     def n_values(self) -> int:
@@ -249,7 +249,8 @@ def ends(data: ExcitationData, fresh: Array) -> Array:
     weight = np.where(np.isfinite(sigma), 1 / sigma**2, 0.0)
     total = weight.sum(axis=0)
     signal = (weight * np.where(weight > 0, scaled, 0.0)).sum(axis=0)
-    return np.divide(signal, total, out=np.zeros_like(total), where=total > 0)
+    share: Array = np.divide(signal, total, out=np.zeros_like(total), where=total > 0)
+    return share
 
 
 def _fall(kr: Array, steps: Steps) -> tuple[Array, Array]:

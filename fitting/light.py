@@ -72,7 +72,7 @@ class Shapes:
         return (self._band_of(middles) == np.arange(self.n)[:, None]).astype(np.float64)
 
     def _band_of(self, nm: Array) -> NDArray[np.intp]:
-        return np.searchsorted(self.bands.edges_nm, nm) - 1
+        return np.asarray(np.searchsorted(self.bands.edges_nm, nm) - 1)
 
     def light(self, nm: Array, irradiance: Array, transmission: Array | None = None) -> Array:
         """Return (n_places, n_shapes) the light that each shape weighs, in W/m²; (n_shapes,) without a filter.

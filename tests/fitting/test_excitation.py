@@ -15,6 +15,7 @@ from phoslab.fitting.charging import LampCourse, Steps, Table
 from phoslab.fitting.decay import DecayData, fit_decay
 from phoslab.fitting.excitation import fit_excitation
 from phoslab.fitting.excitation_model import Charge, ExcitationData
+from phoslab.fitting.excitation_report import report
 from phoslab.fitting.light import Shapes, outside
 from phoslab.instruments.bench import lights
 from phoslab.instruments.bench.film import Film
@@ -211,7 +212,7 @@ def test_far_from_saturation_only_the_product_is_claimed():
     truth = made(steps_of_bands(VIOLET), 0.003)
     fit = fit_excitation(truth.data, truth.charge)
     assert fit.product_only.tolist() == [True]
-    assert "only their product" in fit.report()
+    assert "only their product" in report(fit)
     # Λ ke is right to the decay's 1 % and the noise, whatever became of the factors.
     product = GAIN[0] * truth.ke[0, :3]
     assert (np.abs(fit.product[0, :3] / product - 1) < 4 * fit.product_standard_error[0, :3] / product).all()
@@ -261,7 +262,7 @@ def test_a_sample_that_follows_the_model_rises_in_the_time_that_is_modelled(two_
     # 5 %: half an interpolation between two exposures whose glow is known to 0.3 %.
     assert fit.rise_ratio == pytest.approx(1.0, abs=0.05)
     assert np.nanmax(np.abs(fit.level_error)) < 0.02
-    assert "[[warnings]]" not in fit.report()
+    assert "[[warnings]]" not in report(fit)
 
 
 def test_a_sample_that_does_not_follow_the_model_is_met_at_its_level_and_its_rise_reported():
@@ -272,8 +273,8 @@ def test_a_sample_that_does_not_follow_the_model_is_met_at_its_level_and_its_ris
     assert fit.discrepancy > 0.01
     assert np.nanmedian(np.abs(fit.level_error)) < 0.02
     assert abs(fit.rise_ratio - 1) > 0.05
-    assert "does not follow the model" in fit.report()
-    assert "rises" in fit.report()
+    assert "does not follow the model" in report(fit)
+    assert "rises" in report(fit)
     # And the decay is left alone.
     assert fit.kr_per_s == pytest.approx(truth.charge.kr_per_s, rel=1e-12)
 
@@ -401,7 +402,7 @@ def test_paint_of_traps_rises_slower_than_any_model_and_that_is_reported(paint_o
     fit, _, _ = paint_of_traps
     # Retrapping: the first electrons fill traps and give little light. The paper found the same of its model.
     assert fit.rise_ratio < 0.95
-    assert "rises faster than the measured one" in fit.report()
+    assert "rises faster than the measured one" in report(fit)
 
 
 def test_the_excitation_spectrum_of_paint_of_traps_comes_out(paint_of_traps):
