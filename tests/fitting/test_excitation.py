@@ -187,6 +187,9 @@ def test_dark_bands_come_back_as_nothing_with_a_limit(two_states):
     # A thousandth of the best band and less: what the noise floor, 0.015 % of the brightest, and 12 frames let through.
     assert (limit < 3e-3 * truth.ke.max(axis=1, keepdims=True)).all()
     assert np.isnan(fit.ke_upper_limit[fit.ke_m2_per_J > 0]).all()
+    # An estimate within 1.645 standard errors of 0, and 1.645 more: what bounds on other rates add only narrows it.
+    gain = fit.product[:, :1] / fit.ke_m2_per_J[:, :1]
+    assert (limit * gain <= 1.01 * 2 * 1.645 * fit.product_standard_error[:, 4:]).all()
 
 
 def test_a_decay_fit_becomes_what_the_joint_fit_takes():
@@ -326,6 +329,16 @@ def test_light_of_bands_sums_to_the_whole():
         np.trapezoid(LAMP_NM[inside], NM[inside]), rel=1e-12
     )
     assert lines.band_means(NM, LAMP_NM).sum(axis=1) == pytest.approx(np.ones(8), rel=1e-12)
+
+
+def test_a_band_s_mean_rate_is_the_lamp_s():
+    # Light at 400 to 410 nm alone: the mean of a band is the rate at 405 nm, 5 / 18.75 of the way between its nodes.
+    nm = np.array([399.999, 400.0, 410.0, 410.001, 437.5, 475.0])
+    lines = Shapes.lines(Bands(np.array([400.0, 437.5, 475.0])))
+    light = np.array([0.0, 1.0, 1.0, 0.0, 1e-9, 1e-9])
+    rates = np.where(lines.nodes_nm == 418.75, 1.0, 0.0)
+    # Cells of 0.25 nm: the last one of the ten may lie half outside.
+    assert (lines.band_means(nm, light) @ rates)[0] == pytest.approx(5 / 18.75, rel=0.03)
 
 
 def test_light_outside_the_bands_is_noticed():
