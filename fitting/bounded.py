@@ -65,7 +65,8 @@ def search(residual: Residual, start: Array, lower: Array, held: Mask | None = N
         theta = np.maximum(here.theta + step, lower)
         there = Search(theta, *residual(theta))
         gained = here.chi2 - there.chi2
-        if gained > 0:
+        # Where the model or its slope is no number, the step was too long.
+        if gained > 0 and np.isfinite(there.jacobian).all():
             ratio = gained / foreseen
             damping = max(damping * max(1 / 5, 1 - (2 * ratio - 1) ** 3), 1e-14)  # Nielsen 1999
             here, growth = there, 2.0

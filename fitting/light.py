@@ -68,8 +68,8 @@ class Shapes:
         """(n_shapes, n_cells)."""
         middles, _ = self._cells
         if self.nodes_nm is not None:
-            return np.stack([np.interp(middles, self.nodes_nm, row) for row in np.eye(self.n)])
-        return (self._band_of(middles) == np.arange(self.n)[:, None]).astype(np.float64)
+            return np.asarray([np.interp(middles, self.nodes_nm, row) for row in np.eye(self.n)])
+        return np.asarray(self._band_of(middles) == np.arange(self.n)[:, None], dtype=np.float64)
 
     def _band_of(self, nm: Array) -> NDArray[np.intp]:
         return np.asarray(np.searchsorted(self.bands.edges_nm, nm) - 1)

@@ -53,6 +53,17 @@ def test_a_nonlinear_minimum_is_found_from_afar():
     assert found.theta == pytest.approx([0.7, 3.0], rel=1e-4)
 
 
+def test_a_step_to_where_the_slope_is_no_number_is_taken_back():
+    # The first step, of 4, would lead to a lower sum of squares without a slope.
+    def residual(theta):
+        slope = 1.0 if theta[0] < 3 else np.nan
+        return np.array([theta[0] - 4.0]), np.array([[slope]])
+
+    found = search(residual, np.array([0.0]), np.array([-np.inf]))
+    assert 2 < found.theta[0] < 3
+    assert np.isfinite(found.jacobian).all()
+
+
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=15, deadline=None)
 def test_the_reach_of_a_linear_problem_is_its_standard_error(seed):
