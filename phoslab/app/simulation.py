@@ -56,7 +56,7 @@ class BenchOperator:
             self._hands.place(
                 target=stage.target,
                 lvf=stage.lvf,
-                filter=stage.filter,
+                filter_name=stage.filter,
                 light=stage.light,
                 angle_deg=stage.angle_deg,
             )
@@ -90,7 +90,7 @@ def started(sample: str, seed: int, faults: Sequence[str], not_before: str | Non
     with bench_rig.start(sample, seed=seed, faults=tuple(faults), at=at) as bench:
         clock = BenchClock(bench.folder, Link(bench.socket))
         hands = Hands(Link(bench.socket))
-        rig = bench_of(Path(bench.port()), bench.socket)
+        rig = bench_of(Path(bench.port), bench.socket)
         header = {
             "operator": "nobody",
             "sample": {"note": STATEMENT},
