@@ -6,17 +6,19 @@
 
     GCV(μ) = n RSS / (n - γ t)²,     t = trace of the matrix that maps y to A x,
 
-with γ = 1.4, which keeps it from following noise when data are few (Kim and Gu 2004). The band is that of the
+with γ = 1.4, which keeps it from following noise when data are few (Kim and Gu 2004); the score is flat around its minimum,
+and of what it cannot tell apart the smoothest is taken. The band is that of the
 posterior of which x is the mean, s² (AᵀA + μ DᵀD)⁻¹: over all of a curve it covers as often as it says (Wahba 1983).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 
 Array = NDArray[np.float64]
 
@@ -114,15 +116,20 @@ def solve(normal: Normal, penalty: Array, span: tuple[float, float] = (1e-7, 1e5
 
     # From smooth to rough, each from what was free before: the sets change little.
     grid = unit * np.geomspace(*span, 13)[::-1]
-    best = min(grid, key=score)
-    at_end = bool(best in (grid[0], grid[-1]))
-    for factor in (10**0.5, 10**0.25, 10**0.125):
-        best = min((best * factor, best, best / factor), key=score)
+    scores = np.array([score(float(mu)) for mu in grid])
+    # The smoothest that is no worse than the best by more than the score's own standard error (Breiman et al. 1984).
+    limit = float(scores.min()) * (1 + np.sqrt(2 / max(normal.n_data, 1)))
+    k = int(np.flatnonzero(scores <= limit)[0])
+    at_end = k in (0, grid.size - 1)
+    best = float(grid[k])
+    for factor in (10**0.5, 10**0.25):
+        if score(best * factor) <= limit:
+            best *= factor
     free = tried[best][1]
     M = normal.matrix + best * penalty
     M = M + _jitter(M)
     x, _ = non_negative(M, normal.right, free)
-    inverse = cho_solve(cho_factor(M), np.eye(x.size))
+    inverse = _solver(M)(np.eye(x.size))
     degrees = _degrees(normal, M, x > 0)
     misfit = normal.misfit(x)
     # Noise is not made smaller than σ says: a lucky fit is no better camera.
@@ -149,7 +156,7 @@ def non_negative(
     for _ in range(_ROUNDS):
         x = np.zeros(n)
         if free.any():
-            x[free] = cho_solve(cho_factor(M[np.ix_(free, free)]), right[free])
+            x[free] = _solver(M[np.ix_(free, free)])(right[free])
         gradient = M @ x - right
         wrong = (free & (x < 0)) | (~free & (gradient < -tolerance))
         if not wrong.any():
@@ -180,12 +187,27 @@ def _degrees(normal: Normal, M: Array, free: NDArray[np.bool_]) -> float:
     if not free.any():
         return 0.0
     both = np.ix_(free, free)
-    factor = cho_factor(M[both])
+    solve_free = _solver(M[both])
     if free.sum() <= _EXACT:
-        return float(np.trace(cho_solve(factor, normal.matrix[both])))
+        return float(np.trace(solve_free(normal.matrix[both])))
     # The trace of a large matrix from products with random signs (Girard 1989), the same at every strength.
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (free.size, _SIGNS))[free]
-    return float(np.sum(cho_solve(factor, signs) * (normal.matrix[both] @ signs)) / _SIGNS)
+    return float(np.sum(solve_free(signs) * (normal.matrix[both] @ signs)) / _SIGNS)
+
+
+def _solver(M: Array) -> Callable[[Array], Array]:
+    """Return what solves M x = b, M positive definite: by its band, if it has a narrow one."""
+    n = M.shape[0]
+    i, j = np.nonzero(M)
+    width = int((j - i).max(initial=0))
+    if width > n // 4:
+        factor = cho_factor(M)
+        return lambda b: np.asarray(cho_solve(factor, b))
+    band = np.zeros((width + 1, n))
+    for k in range(width + 1):
+        band[k, : n - k] = np.diagonal(M, k)
+    lower = cholesky_banded(band, lower=True)
+    return lambda b: np.asarray(cho_solve_banded((lower, True), b))
 
 
 def _jitter(M: Array) -> Array:

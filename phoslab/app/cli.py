@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from phoslab import __version__
 from phoslab.errors import PhoslabError, printable
 
-COMMANDS = ("demo", "doctor", "measure", "resume", "fit", "presets", "export", "render", "trade")
+COMMANDS = ("demo", "doctor", "measure", "resume", "calibrate", "spectrum", "fit", "presets", "export", "render", "trade")
 
 DONE, FAILED, BAD_USAGE = 0, 1, 2  # argparse itself exits with 2
 
