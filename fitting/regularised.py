@@ -6,8 +6,8 @@
 
     GCV(μ) = n RSS / (n - γ t)²,     t = trace of the matrix that maps y to A x,
 
-with γ = 1.4, which keeps it from following noise when data are few (Kim and Gu 2004); the score is flat around its minimum,
-and of what it cannot tell apart the smoothest is taken. The band is that of the
+with γ = 1.4, which keeps it from following noise when data are few (Kim and Gu 2004). The score is flat around its
+minimum: of what it cannot tell apart, or what fits within the noise, the smoothest is taken. The band is that of the
 posterior of which x is the mean, s² (AᵀA + μ DᵀD)⁻¹: over all of a curve it covers as often as it says (Wahba 1983).
 """
 
@@ -105,7 +105,7 @@ def solve(normal: Normal, penalty: Array, span: tuple[float, float] = (1e-7, 1e5
     """
     unit = float(np.trace(normal.matrix)) / max(float(np.trace(penalty)), 1e-300)
     free = np.ones(normal.right.size, dtype=bool)
-    tried: dict[float, tuple[float, NDArray[np.bool_]]] = {}
+    tried: dict[float, tuple[float, NDArray[np.bool_], bool]] = {}
 
     def score(mu: float) -> float:
         nonlocal free
@@ -118,12 +118,17 @@ def solve(normal: Normal, penalty: Array, span: tuple[float, float] = (1e-7, 1e5
     grid = unit * np.geomspace(*span, 13)[::-1]
     scores = np.array([score(float(mu)) for mu in grid])
     # The smoothest that is no worse than the best by more than the score's own standard error (Breiman et al. 1984).
+    # So is what misses the data by no more than their noise.
     limit = float(scores.min()) * (1 + np.sqrt(2 / max(normal.n_data, 1)))
-    k = int(np.flatnonzero(scores <= limit)[0])
+
+    def serves(mu: float) -> bool:
+        return score(mu) <= limit or tried[mu][2]
+
+    k = next(k for k, mu in enumerate(grid) if serves(float(mu)))
     at_end = k in (0, grid.size - 1)
     best = float(grid[k])
     for factor in (10**0.5, 10**0.25):
-        if score(best * factor) <= limit:
+        if serves(best * factor):
             best *= factor
     free = tried[best][1]
     M = normal.matrix + best * penalty
@@ -174,12 +179,16 @@ def non_negative(
     return np.maximum(x, 0.0), free
 
 
-def _score(normal: Normal, M: Array, free: NDArray[np.bool_]) -> tuple[float, NDArray[np.bool_]]:
-    """The score of the solution with matrix M, and what is free in it."""
+def _score(
+    normal: Normal, M: Array, free: NDArray[np.bool_]
+) -> tuple[float, NDArray[np.bool_], bool]:
+    """The score of the solution with matrix M, what is free in it, and whether it fits within the noise."""
     M = M + _jitter(M)
     x, free = non_negative(M, normal.right, free)
-    rest = normal.n_data - _GAMMA * _degrees(normal, M, free)
-    return (float("inf") if rest <= 0 else normal.n_data * normal.misfit(x) / rest**2), free
+    degrees, misfit = _degrees(normal, M, free), normal.misfit(x)
+    rest = normal.n_data - _GAMMA * degrees
+    score = float("inf") if rest <= 0 else normal.n_data * misfit / rest**2
+    return score, free, misfit <= normal.n_data - degrees
 
 
 def _degrees(normal: Normal, M: Array, free: NDArray[np.bool_]) -> float:

@@ -33,6 +33,15 @@ NM = np.arange(400.0, 701.0, 5.0)
 BELIEF = 0.004
 """How well a calibration describes another measurement, as a share of the signal: repeated settings, moved lights."""
 
+TOGETHER_NM = 5.0
+"""Over so much the errors of a transmission curve go together: two of its nodes."""
+
+UNEVEN, EVEN = 0.03, 0.01
+"""How far a spectrum may be wrong over long stretches, as a share of it: lights hang elsewhere than the one of the
+calibration did. The second where a frame without the strip has told how evenly the scene is lit."""
+
+_STRETCH_NM = 50.0
+
 _SHIFT_PX = 1.0
 """Standard deviation of a strip's place along itself, before the colours are looked at."""
 
@@ -208,6 +217,8 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
     step = GRID_NM[1] - GRID_NM[0]
     A = np.einsum("kn,nc,nj->kcj", np.nan_to_num(curve), seen, hats) * step
 
+    from_curves = np.zeros((curve.shape[0], 3))
+
     def equations(shift_px: float) -> tuple[Normal, Array, Array]:
         weights = calibration.reading(shift_px)
         there = np.isfinite(weights).all(axis=1) & np.isfinite(curve).all(axis=1)
@@ -221,12 +232,15 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
                 remedy="Expose it shorter, and calibrate with the strip where it is now.",
             )
         belief = np.hypot(BELIEF * y, calibration.curves.misfit * y.max(axis=1, keepdims=True))  # type: ignore[union-attr]
-        total = np.hypot(noise, belief)
+        total = np.sqrt(noise**2 + belief**2 + from_curves**2)
         return Normal.of(A.reshape(-1, NM.size), y.ravel(), total.ravel()), y, total
 
     d = second_differences(NM.size)
     penalty = d.T @ d
     first = solve(equations(0.0)[0], penalty)
+    # What the curves' own errors make of that spectrum; they go together over some nanometres, not over a band.
+    errors = np.nan_to_num(calibration.curves.standard_error)
+    from_curves = np.sqrt((errors**2) @ (seen * (hats @ first.x)[:, None]) ** 2 * step * TOGETHER_NM)
     shift = _shift(equations, penalty, first)
     normal, y, total = equations(shift)
     solution = solve(normal, penalty)
@@ -237,12 +251,16 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
             file="the session",
             remedy="Expose longer, and check that the strip lies before the camera.",
         )
+    value = solution.x / top
+    together = np.exp(-0.5 * ((NM[:, None] - NM) / _STRETCH_NM) ** 2)
+    long = (UNEVEN if evenness is None else EVEN) ** 2 * np.outer(value, value) * together
+    covariance = solution.covariance / top**2 + long
     return Spectrum(
         nm=NM,
-        value=solution.x / top,
-        standard_error=solution.standard_error / top,
+        value=value,
+        standard_error=np.sqrt(np.diag(covariance)),
         scale=top,
-        covariance=solution.covariance / top**2,
+        covariance=covariance,
         shift_px=shift,
         scaled_misfit=solution.scale,
         at_end=solution.at_end,
