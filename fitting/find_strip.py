@@ -92,7 +92,8 @@ def follow_strip(preview: Preview, known: Strip) -> tuple[Strip, bool]:
     """
     if preview.shape != known.shape:
         raise PhoslabError(
-            f"has {preview.shape[0]} x {preview.shape[1]} pixels where the calibration has {known.shape[0]} x {known.shape[1]}",
+            f"has {preview.shape[0]} x {preview.shape[1]} pixels where the calibration has "
+            f"{known.shape[0]} x {known.shape[1]}",
             file=preview.path,
             remedy="Measure and calibrate with the same camera at the same picture size.",
         )
@@ -108,9 +109,10 @@ def follow_strip(preview: Preview, known: Strip) -> tuple[Strip, bool]:
     ]
     if abs(turned) > 2.0 or max(moved) > 0.1 * known.width_px:
         raise PhoslabError(
-            f"shows the strip turned by {turned:.1f} degrees and moved by {max(moved):.0f} pixels against the calibration",
+            f"shows the strip turned by {turned:.1f} degrees and moved by {max(moved):.0f} pixels "
+            "against the calibration",
             file=preview.path,
-            remedy="Calibrate anew: wavelengths belong to places in the frame, so camera and filter must stay where they were.",
+            remedy="Calibrate anew: wavelengths belong to places in the frame, so camera and filter must stay.",
         )
     return replace(found, slant=known.slant, ends_px=known.ends_px), True
 

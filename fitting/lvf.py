@@ -120,7 +120,8 @@ def calibrate(
         progress: called with (frames done, frames in all) of each step.
 
     Raises:
-        PhoslabError: there is no `lvf` session or more than one; it has neither mercury nor LED frames that can be used;
+        PhoslabError: there is no `lvf` session or more than one; it has neither mercury nor LED frames
+        that can be used;
             no sensitivities; or the strip cannot be found.
     """
     sessions = [Session.open(path) for path in paths]
@@ -129,7 +130,9 @@ def calibrate(
     flats = [s for s in sessions if s.header.plan == "flats"]
     for s in sessions:
         if s.header.plan not in ("lvf", "flats"):
-            warnings.append(f"{s.path}: is of the plan {s.header.plan!r}, which calibrates nothing, and is left out.")
+            warnings.append(
+                f"{s.path}: is of the plan {s.header.plan!r}, which calibrates nothing, and is left out."
+            )
     settings, misfit = Settings(), None
     if flats:
         fit = fit_settings(flats[-1], progress)
@@ -137,7 +140,8 @@ def calibrate(
         warnings += fit.warnings
     else:
         warnings.append(
-            "There is no session of the plan 'flats': exposure times, ISO and apertures count as the powers of two that their "
+            "There is no session of the plan 'flats': exposure times, ISO and apertures count as the "
+            "powers of two that their "
             "numbers stand for, which a camera meets to a few per cent."
         )
     sensitivities = Sensitivities.of(camera or main.header.sensitivities, file=main.path)
@@ -148,7 +152,8 @@ def calibrate(
     roles = [r for r in ("led", *(f"filter:{n}" for n in known)) if r in lights]
     if light is None and roles:
         warnings.append(
-            f"{main.path}: nothing says what the LED's spectrum is, so its frames serve for nothing and there are no curves. "
+            f"{main.path}: nothing says what the LED's spectrum is, so its frames serve for nothing and "
+            f"there are no curves. "
             "Name it with --led, or in the rig file as led.spectrum."
         )
         roles = []
@@ -167,7 +172,8 @@ def calibrate(
     seen_mercury = None if mercury is None else _known(mercury, evenness, np.zeros(NM.size))
     if mercury is None:
         warnings.append(
-            f"{main.path}: has no usable frame of a mercury lamp: wavelengths rest on the colours and the edges of the filters, "
+            f"{main.path}: has no usable frame of a mercury lamp: wavelengths rest on the colours and "
+            f"the edges of the filters, "
             "and are as good as the camera's sensitivities."
         )
     at = fit_map(strip.nodes_px, seen_mercury, known_lights, at_nm)
@@ -182,9 +188,7 @@ def calibrate(
         # The bands' true shape locates them better than the first one did.
         first = _curves(strip, at, known_lights, at_nm)
         if first is not None:
-            at = fit_map(
-                strip.nodes_px, seen_mercury, known_lights, at_nm, (X_NM, first.shape(POSITIONS_NM))
-            )
+            at = fit_map(strip.nodes_px, seen_mercury, known_lights, at_nm, (X_NM, first.shape(POSITIONS_NM)))
             curves = _curves(strip, at, known_lights, sensitivities.times(at.gains).at(NM))
     if seen_mercury is not None:
         for feature in at.features:
@@ -196,13 +200,15 @@ def calibrate(
     for c, name in ((0, "red"), (2, "blue")):
         if abs(np.log(gains[c])) > 0.05:
             warnings.append(
-                f"The camera's {name} is {gains[c]:.2f} of what its sensitivities say, against green: it is another body, "
+                f"The camera's {name} is {gains[c]:.2f} of what its sensitivities say, against green: "
+                f"it is another body, "
                 "or the LED has another spectrum."
             )
     absolute = curves is not None and evenness is not None
     if curves is not None and not absolute:
         warnings.append(
-            f"{main.path}: has no usable 'flat' frame of the card under the LED without the strip: how unevenly the LED lights it "
+            f"{main.path}: has no usable 'flat' frame of the card under the LED without the strip: how "
+            f"unevenly the LED lights it "
             "is taken for the strip's own, and transmissions are relative."
         )
     if absolute and curves is not None:
@@ -303,7 +309,8 @@ def _read(
 
 
 def _slant(session: Session, strip: Strip, settings: Settings) -> float:
-    """dx/dy of the lines of one wavelength: by how much mercury's lines are shifted from the upper to the lower half."""
+    """dx/dy of the lines of one wavelength: by how much mercury's lines are shifted from the upper to
+    the lower half."""
     mercury = session.frames_of("mercury")[:1]
     middle = sum(INSIDE) / 2
     halves = []
@@ -375,8 +382,6 @@ def _curves(
 def positions(signals: Sequence[Array], sigmas: Sequence[Array], weights: Array) -> tuple[Array, Array]:
     """(n_k, n_f, 3) signals of nodes (n, 3) read at positions by `weights` (n_k, n), and their standard deviations."""
     signal = np.stack([weights @ x for x in signals], axis=1)
-    sigma = np.stack(
-        [np.sqrt(weights**2 @ np.where(np.isfinite(s), s, 0.0) ** 2) for s in sigmas], axis=1
-    )
+    sigma = np.stack([np.sqrt(weights**2 @ np.where(np.isfinite(s), s, 0.0) ** 2) for s in sigmas], axis=1)
     lost = np.stack([weights @ (~np.isfinite(s)).astype(float) > 0 for s in sigmas], axis=1)
     return signal, np.where(lost, np.inf, sigma)

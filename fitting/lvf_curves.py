@@ -1,13 +1,17 @@
 """Transmission curves of the linear variable filter at positions along it, from known lights behind known filters.
 
-A position k passes a band around λ_k (`wavelength_map.py`). Known light L_f, alone and behind each filter f, is seen there by
+A position k passes a band around λ_k (`wavelength_map.py`). Known light L_f, alone and behind each
+filter f, is seen there by
 channel c as
 
     y_kfc = ∫ T_k(λ) L_f(λ) S_c(λ) dλ,
 
-which is one linear system a position (Nalbach 2017, 8.4.2, after Kirk and O'Brien 2011). Here all positions are solved at
-once: T_k is a piecewise-linear curve over x = (λ - λ_k) 550 / λ_k, in which the bands of a wedge are all alike, plus what
-it passes of everything. It is smooth over x, and much more so from position to position; how smooth, the data decide. It is
+which is one linear system a position (Nalbach 2017, 8.4.2, after Kirk and O'Brien 2011). Here all
+positions are solved at
+once: T_k is a piecewise-linear curve over x = (λ - λ_k) 550 / λ_k, in which the bands of a wedge are
+all alike, plus what
+it passes of everything. It is smooth over x, and much more so from position to position; how smooth,
+the data decide. It is
 never below zero.
 """
 
@@ -58,7 +62,10 @@ class Curves:
     def shape(self, positions_nm: Array) -> Array:
         """(n_x,) the bands' mean shape over `X_NM`, with a largest value of 1."""
         bands = np.stack(
-            [np.interp(p * (1 + X_NM / 550), GRID_NM, c) for p, c in zip(positions_nm, self.curve, strict=True)]
+            [
+                np.interp(p * (1 + X_NM / 550), GRID_NM, c)
+                for p, c in zip(positions_nm, self.curve, strict=True)
+            ]
         )
         # Bands near the ends reach beyond what the camera sees.
         inner = (positions_nm > 440) & (positions_nm < 650)

@@ -172,8 +172,9 @@ def _calibration(data: dict[str, Any]) -> Calibration:
 
 def _listed(values: Array) -> list[Any]:
     """Lists with null for NaN."""
-    listed: list[Any] = np.where(np.isnan(values), None, values.astype(object)).tolist()
-    return listed
+    listed = values.astype(object)
+    listed[np.isnan(values)] = None
+    return list(listed.tolist())
 
 
 def _array(values: list[Any]) -> Array:

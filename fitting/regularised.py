@@ -179,9 +179,7 @@ def non_negative(
     return np.maximum(x, 0.0), free
 
 
-def _score(
-    normal: Normal, M: Array, free: NDArray[np.bool_]
-) -> tuple[float, NDArray[np.bool_], bool]:
+def _score(normal: Normal, M: Array, free: NDArray[np.bool_]) -> tuple[float, NDArray[np.bool_], bool]:
     """The score of the solution with matrix M, what is free in it, and whether it fits within the noise."""
     M = M + _jitter(M)
     x, free = non_negative(M, normal.right, free)
@@ -221,4 +219,4 @@ def _solver(M: Array) -> Callable[[Array], Array]:
 
 def _jitter(M: Array) -> Array:
     """Keeps a matrix positive definite that rounding has made a little less."""
-    return np.eye(M.shape[0]) * 1e-12 * float(np.trace(M)) / M.shape[0]
+    return np.asarray(np.eye(M.shape[0]) * 1e-12 * float(np.trace(M)) / M.shape[0])

@@ -83,7 +83,12 @@ def _read(path: Path) -> Sensitivities:
         raise PhoslabError(
             f"is not a camera file of rawtoaces ({type(error).__name__}: {error})", file=path, remedy=remedy
         ) from error
-    if nm.size < 8 or not np.isfinite(values).all() or (values < 0).any() or not (values.max(axis=0) > 0).all():
+    if (
+        nm.size < 8
+        or not np.isfinite(values).all()
+        or (values < 0).any()
+        or not (values.max(axis=0) > 0).all()
+    ):
         raise PhoslabError(
             "does not hold sensitivities of 0 or more at 8 wavelengths or more in every channel",
             file=path,

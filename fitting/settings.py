@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +105,7 @@ def fit_settings(session: Session, progress: Callable[[int, int], None] | None =
     level = _levels(usable, darks, progress)
     pairs = [
         (a, b)
-        for a, b in zip(usable[:-1], usable[1:], strict=True)
+        for a, b in pairwise(usable)
         if _setting(a) != _setting(b)
         and b.start_s - a.start_s < _STEADY_S + a.exposure_s
         and all(level[f.name] is not None for f in (a, b))
@@ -119,8 +120,11 @@ def fit_settings(session: Session, progress: Callable[[int, int], None] | None =
             file=session.path,
             remedy="Record a session of the plan 'flats'.",
         )
-    exact = {max((c, v) for (k, v), c in counts.items() if k == kind)[1]: kind for kind in KINDS if any(k == kind for k, _ in counts)}
-    unknown = sorted(key for key in counts if exact.get(key[1]) != key[0])
+    exact = {
+        (kind, max((count, value) for (k, value), count in counts.items() if k == kind)[1])
+        for kind in {k for k, _ in counts}
+    }
+    unknown = sorted(set(counts) - exact)
     A, y, sigma = np.zeros((len(pairs), len(unknown))), np.zeros(len(pairs)), np.zeros(len(pairs))
     nominal = Settings()
     for row, (a, b) in enumerate(pairs):
@@ -135,18 +139,18 @@ def fit_settings(session: Session, progress: Callable[[int, int], None] | None =
                 if key in unknown:
                     A[row, unknown.index(key)] += sign
     # A lamp flickers and a shutter repeats only so well: some promille beside the pixels' noise.
-    sigma = np.hypot(sigma, 0.002)
-    weighted = A / sigma[:, None]
-    solved, _, rank, _ = np.linalg.lstsq(weighted, y / sigma, rcond=1e-9)
+    total: Array = np.hypot(sigma, 0.002)
+    weighted = A / total[:, None]
+    solved, _, rank, _ = np.linalg.lstsq(weighted, y / total, rcond=1e-9)
     missed = A @ solved - y
-    scale = max(1.0, float(np.sum((missed / sigma) ** 2)) / max(len(pairs) - rank, 1))
+    scale = max(1.0, float(np.sum((missed / total) ** 2)) / max(len(pairs) - int(rank), 1))
     covariance = np.linalg.pinv(weighted.T @ weighted) * scale
     # What lies in the null space cannot be told from the rest of its kind.
     told = np.abs(np.linalg.pinv(weighted) @ weighted - np.eye(len(unknown))).max(axis=1) < 1e-6
     corrections = {
         key: (float(solved[k]), float(np.sqrt(covariance[k, k]))) for k, key in enumerate(unknown) if told[k]
     }
-    corrections |= {(kind, value): (0.0, 0.0) for value, kind in exact.items()}
+    corrections |= dict.fromkeys(exact, (0.0, 0.0))
     lost = [f"{kind} {value:g}" for (kind, value), ok in zip(unknown, told, strict=True) if not ok]
     warnings = (f"{session.path}: no overlap tells {', '.join(lost)} from others.",) if lost else ()
     return SettingsFit(Settings(corrections), len(pairs), float(np.sqrt(np.mean(missed**2))), warnings)
@@ -160,7 +164,8 @@ def _setting(frame: Frame) -> dict[str, float]:
 def _levels(
     flats: list[Frame], darks: tuple[Frame, ...], progress: Callable[[int, int], None] | None
 ) -> dict[str, tuple[float, float] | None]:
-    """Signal of the brightest colour in the middle of each frame and its relative noise; None if it is saturated or weak."""
+    """Signal of the brightest colour in the middle of each frame and its relative noise; None if it is
+    saturated or weak."""
     h, w = preview(flats[0].path, largest=64).shape
     middle = (h // 4, 3 * h // 4, w // 4, 3 * w // 4)
     needed = [f for f in darks if (f.exposure_s, f.iso) in {(u.exposure_s, u.iso) for u in flats}]

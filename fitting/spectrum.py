@@ -1,6 +1,7 @@
 """The spectrum of what a calibrated linear variable filter shows: of the lamp, or of a glowing sample.
 
-Each of the positions k is seen in three channels c, y_kc = ∫ T_k(λ) S_c(λ) L(λ) dλ, with T_k and S_c known: some 93 equations
+Each of the positions k is seen in three channels c, y_kc = ∫ T_k(λ) S_c(λ) L(λ) dλ, with T_k and S_c
+known: some 93 equations
 for L at 61 wavelengths, solved without negative values and as smooth as the data say (Nalbach 2017, 8.4.2).
 A hand that has put the strip down anew has moved it along itself by some tenth of a millimetre, that is by some tenths
 of a nanometre. The three channels see one spectrum only if it is read at the right places, which tells by how much.
@@ -146,12 +147,15 @@ def measure_spectrum(
             warnings.append(f"{len(lit)} frames from before the lamp went off are left out.")
     if not frames:
         raise PhoslabError(
-            f"has no {plan} frames", file=path, remedy="Record the session anew; this one holds nothing to measure."
+            f"has no {plan} frames",
+            file=path,
+            remedy="Record the session anew; this one holds nothing to measure.",
         )
     strip, found = follow_strip(preview(frames[0].path), calibration.strip)
     if not found:
         warnings.append(
-            f"{frames[0].path}: too little of the strip is lit to find its edges; they are taken to be where they were calibrated."
+            f"{frames[0].path}: too little of the strip is lit to find its edges; they are taken to be "
+            f"where they were calibrated."
         )
     lights, said = read_light(session, frames, strip, calibration.settings, progress=progress)
     warnings += said
@@ -165,8 +169,10 @@ def measure_spectrum(
     if flat is None:
         other = "flats" if plan == "lamp" else "decay"
         warnings.append(
-            f"How unevenly the {'card is lit' if plan == 'lamp' else 'sample glows'} is taken for a part of the spectrum, a few "
-            f"per cent from end to end: name a session of the same scene without the strip with --flat (of the plan {other!r})."
+            f"How unevenly the {'card is lit' if plan == 'lamp' else 'sample glows'} is taken for a "
+            f"part of the spectrum, a few "
+            f"per cent from end to end: name a session of the same scene without the strip with --flat "
+            f"(of the plan {other!r})."
         )
     else:
         evenness, said = _evenness(flat, calibration)
@@ -174,7 +180,8 @@ def measure_spectrum(
     result = reconstruct(lights[0], calibration, evenness)
     if result.scaled_misfit > 4:
         warnings.append(
-            f"The three colours do not agree on one spectrum (misfit {result.scaled_misfit:.1f} of what noise explains): "
+            f"The three colours do not agree on one spectrum (misfit {result.scaled_misfit:.1f} of what "
+            f"noise explains): "
             "the strip, the camera or the scattered light is not what it was at the calibration."
         )
     if abs(result.shift_px) > 2 * _SHIFT_PX:
@@ -221,8 +228,8 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
 
     def equations(shift_px: float) -> tuple[Normal, Array, Array]:
         weights = calibration.reading(shift_px)
-        there = np.isfinite(weights).all(axis=1) & np.isfinite(curve).all(axis=1)
-        y, noise = (v[:, 0] for v in positions([signal], [sigma], np.nan_to_num(weights)))
+        there = np.asarray(np.isfinite(weights).all(axis=1) & np.isfinite(curve).all(axis=1))
+        y, noise = (np.asarray(v)[:, 0] for v in positions([signal], [sigma], np.nan_to_num(weights)))
         noise = np.where(there[:, None], noise, np.inf)
         if np.isfinite(noise).any(axis=1).sum() < 3:
             raise PhoslabError(
@@ -279,7 +286,7 @@ def _shift(
     def badness(shift: float) -> float:
         normal = equations(shift)[0]
         M = normal.matrix + strength * penalty
-        x = np.linalg.solve(M, normal.right)
+        x = np.asarray(np.linalg.solve(M, normal.right), float)
         total = normal.misfit(x) + strength * float(x @ penalty @ x)
         return total / max(1.0, first.scale) + (shift / _SHIFT_PX) ** 2
 
@@ -299,12 +306,14 @@ def _evenness(path: Path, calibration: Calibration) -> tuple[Array | None, list[
         raise PhoslabError(
             f"is of the plan {session.header.plan!r}",
             file=path,
-            remedy="Name a session of the scene without the strip: of the plan 'flats' for a lamp, 'decay' for a sample.",
+            remedy="Name one of the scene without the strip: of the plan 'flats' for a lamp, 'decay' for a sample.",
         )
     frames: tuple[Frame, ...] = session.frames_of(role)
     if role == "decay" and session.lamp_off_s is not None:
         frames = tuple(f for f in frames if f.start_s >= session.lamp_off_s)
-    same = [f for f in frames if frames and (f.exposure_s, f.iso) == (frames[0].exposure_s, frames[0].iso)][:4]
+    same = [f for f in frames if frames and (f.exposure_s, f.iso) == (frames[0].exposure_s, frames[0].iso)][
+        :4
+    ]
     lights, said = read_light(session, same, calibration.strip, calibration.settings, scattered=False)
     if not lights:
         return None, [*said, f"{path}: has no frame that says how evenly the scene is lit."]

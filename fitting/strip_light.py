@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phoslab.fitting.settings import Settings
 from phoslab.session import Frame, Session
-from phoslab.strip import Strip, StripSignal, mean_signal, read_strip
+from phoslab.strip import INSIDE, Strip, StripSignal, mean_signal, read_strip
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def read_light(
     settings: Settings,
     *,
     scattered: bool = True,
-    part: tuple[float, float] | None = None,
+    part: tuple[float, float] = INSIDE,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[list[StripLight], list[str]]:
     """Read frames with their dark frames; those of one role are averaged, each by its noise.
@@ -70,7 +70,7 @@ def read_light(
             + (f"; nothing is left of {', '.join(lost)}." if lost else ".")
         )
     needed = [f for f in darks if (f.exposure_s, f.iso) in {(u.exposure_s, u.iso) for u in usable}]
-    read = read_strip([*usable, *needed], strip, progress=progress, **({} if part is None else {"part": part}))
+    read = read_strip([*usable, *needed], strip, part=part, progress=progress)
     by_setting: dict[tuple[float, float], list[StripSignal]] = {}
     for frame, signal in zip(needed, read[len(usable) :], strict=True):
         by_setting.setdefault((frame.exposure_s, frame.iso), []).append(signal)
@@ -98,7 +98,8 @@ def read_light(
 
 
 def _mean(role: str, values: list[tuple[Array, Array]]) -> StripLight:
-    """Average frames of a light, which may fade: a place that any of them lacks would be of other moments, and is left out.
+    """Average frames of a light, which may fade: a place that any of them lacks would be of other
+    moments, and is left out.
 
     Frames weigh as their typical noise says; a pixel's own would favour what fell low.
     """

@@ -6,7 +6,8 @@ little of everything else:
     T(s, λ) = a(s) (exp(-ln 2 |2 (λ - λ(s)) / (w λ(s) / 550)|^p) + leak)
 
 λ(s) is a polynomial that the data may bend only gently, a(s) a smooth curve; w, p and the leak are common. This shape
-serves to locate the bands, no more: their true shapes are found by `lvf_curves.py` without it. Every line of mercury has
+serves to locate the bands, no more: their true shapes are found by `lvf_curves.py` without it. Every
+line of mercury has
 an intensity of its own, none below zero, so that a line may be missing, and 576.96 and 579.07 nm may blend, as they do
 in bands of 25 nm. Known lights (the LED, alone and behind filters) hold the ends, where mercury has no line: which
 wavelength passes there can be seen from the colour in which the camera sees it, and from the filters' edges.
@@ -46,7 +47,8 @@ _BEND_NM = (1.5, 0.7, 0.4, 0.3)
 """By how much the terms from the third degree on are expected to bend the map."""
 
 _MERCURY_FLOOR, _LIGHT_FLOOR = (0.02, 0.006), (0.02, 0.002)
-"""How well the model describes what is seen, as shares of the signal there and of the brightest place. The shape's tails
+"""How well the model describes what is seen, as shares of the signal there and of the brightest place.
+The shape's tails
 show in a line spectrum, where it is dark beside the lines; colours depend on the sensitivities, which are those of
 another body of the same model."""
 
@@ -118,7 +120,7 @@ class WavelengthMap:
     def standard_error_nm(self, s: Array) -> Array:
         """(n,) of `nm`."""
         basis = chebyshev.chebvander(self._variable(s), self.coefficients_nm.size - 1)
-        return np.sqrt(np.einsum("ij,jk,ik->i", basis, self.covariance_nm2, basis))
+        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", basis, self.covariance_nm2, basis)))
 
     def place(self, nm: Array) -> Array:
         """(n,) s at which wavelengths `nm` (n,) pass; NaN beyond the strip."""
@@ -225,7 +227,14 @@ class _Model:
         prior = np.concatenate(
             [
                 p[3 : _DEGREE + 1] / _BEND_NM,
-                [p[2] / 20, (p[-5] - _WIDTH_NM) / 10, (p[-4] - 3) / 1.0, (p[-3] + 7) / 2, p[-2] / _GAIN, p[-1] / _GAIN],
+                [
+                    p[2] / 20,
+                    (p[-5] - _WIDTH_NM) / 10,
+                    (p[-4] - 3) / 1.0,
+                    (p[-3] + 7) / 2,
+                    p[-2] / _GAIN,
+                    p[-1] / _GAIN,
+                ],
             ]
         )
         return np.concatenate([*(part.ravel() for part in parts), prior])
@@ -268,7 +277,7 @@ class _Model:
         )[0]
         missed = (flat @ solved).reshape(y.shape) - y
         curve = self.smooth @ solved
-        return np.maximum(curve, 1e-3 * float(np.abs(curve).max())), missed
+        return np.asarray(np.maximum(curve, 1e-3 * float(np.abs(curve).max()))), np.asarray(missed)
 
     def _band(self, p: Array, centre: Array, nm: Array) -> Array:
         if self.shape is not None:
@@ -289,7 +298,7 @@ class _Model:
         return WavelengthMap(
             ends_px=self.ends,
             coefficients_nm=p[:d],
-            covariance_nm2=covariance[:d, :d],
+            covariance_nm2=np.asarray(covariance[:d, :d], float),
             width_nm=float(p[-5]),
             features=self._features(p, intensity),
             gains=np.exp([p[-2], 0.0, p[-1]]),

@@ -148,8 +148,8 @@ def job_means(
     signals: list[list[Array]] = [[], [], []]
     # Only the mask's bounding box is looked at.
     rows, columns = np.flatnonzero(use.any(axis=1)), np.flatnonzero(use.any(axis=0))
-    box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-    for cfa, (x, u) in planes(frame.cfa[box], frame.values[box], use[box]):
+    bounds = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+    for cfa, (x, u) in planes(frame.cfa[bounds], frame.values[bounds], use[bounds]):
         colour = 1 if cfa == 3 else cfa
         black, white = frame.black[cfa], frame.white[cfa]
         clipped = x >= black + SATURATED * (white - black)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -150,8 +149,10 @@ def _solved(strip: Strip, answer: dict[str, Any]) -> StripSignal:
         if not seen.any():
             continue
         # Nodes without pixels (off the frame) are held at 0 and left out below.
-        banded = np.stack([np.append(0.0, beside), np.where(seen, diagonal, 1.0)])
-        factor = cholesky_banded(banded + [[0.0], [1e-9 * diagonal.max()]])
+        banded = np.stack(
+            [np.append(0.0, beside), np.where(seen, diagonal, 1.0) + 1e-9 * float(diagonal.max())]
+        )
+        factor = cholesky_banded(banded)
         values = cho_solve_banded((factor, False), right)
         inverse = cho_solve_banded((factor, False), np.eye(nodes.size))
         offset, slope = answer["law"][c]
@@ -174,7 +175,8 @@ def job_strip(path: str, strip: dict[str, Any], part: list[float], hot: NDArray[
     place = Strip(**strip)
     if tuple(place.shape) != frame.values.shape:
         return {
-            "refused": f"has {frame.values.shape[0]} x {frame.values.shape[1]} pixels where the strip was found in {place.shape[0]} x {place.shape[1]}",
+            "refused": f"has {frame.values.shape[0]} x {frame.values.shape[1]} pixels where the strip was found in "
+            f"{place.shape[0]} x {place.shape[1]}",
             "remedy": "Calibrate and measure with the same camera at the same picture size.",
         }
     nodes = place.nodes_px

@@ -1,7 +1,8 @@
 """Calibration of the linear variable filter (Nalbach 2017, 8.4.2).
 
 A mercury lamp seen through it says which wavelength passes where. A white LED seen through it, alone and behind many
-colour filters of known transmission, says how wide the band is that passes. The card under the LED without the strip, last, says
+colour filters of known transmission, says how wide the band is that passes. The card under the LED
+without the strip, last, says
 how evenly that lights it.
 """
 

@@ -19,11 +19,19 @@ EXAMPLE = "phoslab calibrate sessions/star/01-flats sessions/star/03-lvf -o lvf.
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "session", nargs="+", type=Path, metavar="SESSION", help="folders of an lvf session and of a flats session"
+        "session",
+        nargs="+",
+        type=Path,
+        metavar="SESSION",
+        help="folders of an lvf session and of a flats session",
     )
-    parser.add_argument("-o", "--output", required=True, type=Path, metavar="FILE", help="calibration to write")
     parser.add_argument(
-        "--led", metavar="NAME", help="the white LED's spectrum, as illuminant:LED-B3 (default: the rig file's)"
+        "-o", "--output", required=True, type=Path, metavar="FILE", help="calibration to write"
+    )
+    parser.add_argument(
+        "--led",
+        metavar="NAME",
+        help="the white LED's spectrum, as illuminant:LED-B3 (default: the rig file's)",
     )
     parser.add_argument(
         "--camera",
@@ -64,7 +72,10 @@ def _numbers(c: Calibration, args: argparse.Namespace) -> dict[str, object]:
         "calibration": str(args.output),
         "plot": str(args.plot) if args.plot else None,
         "wavelength_error_nm": [None if np.isnan(e) else float(e) for e in error],
-        "mercury": [{"line_nm": f.name, "seen": f.seen, "off_nm": f.off_nm if f.seen else None} for f in c.map.features],
+        "mercury": [
+            {"line_nm": f.name, "seen": f.seen, "off_nm": f.off_nm if f.seen else None}
+            for f in c.map.features
+        ],
         "curves": c.curves is not None,
         "absolute": c.absolute,
         "curves_misfit": None if c.curves is None else c.curves.misfit,
@@ -83,7 +94,10 @@ def _report(c: Calibration) -> str:
     error = c.map.standard_error_nm(c.places_px)
     lines = ["[[Linear variable filter]]"]
     lines += [f"    session     {name} ({plan})  {digest[:12]}" for name, plan, digest in c.sessions]
-    lines.append(f"    strip       {c.strip.width_px:.1f} px wide, turned by {c.strip.angle_deg:.2f} degrees; slant {c.strip.slant:+.3f}")
+    lines.append(
+        f"    strip       {c.strip.width_px:.1f} px wide, turned by {c.strip.angle_deg:.2f} degrees; "
+        f"slant {c.strip.slant:+.3f}"
+    )
     lines.append("[[Wavelengths]]")
     for nm in (400, 450, 500, 550, 600, 650, 700):
         k = int(np.flatnonzero(POSITIONS_NM == nm)[0])
@@ -92,18 +106,27 @@ def _report(c: Calibration) -> str:
         else:
             lines.append(f"    {nm} nm      at {c.places_px[k]:8.2f} px  ± {error[k]:.2f} nm")
     for f in c.map.features:
-        lines.append(f"    mercury {f.name}: " + (f"{f.off_nm:+.2f} nm off the map" if f.seen else "not seen"))
-    lines.append(f"    band        {c.map.width_nm:.1f} nm wide at 550 nm, in proportion to the wavelength elsewhere")
+        lines.append(
+            f"    mercury {f.name}: " + (f"{f.off_nm:+.2f} nm off the map" if f.seen else "not seen")
+        )
+    lines.append(
+        f"    band        {c.map.width_nm:.1f} nm wide at 550 nm, in proportion to the wavelength elsewhere"
+    )
     lines.append("[[Transmission]]")
     if c.curves is None:
         lines.append("    no curves")
     else:
         there = int(np.isfinite(c.curves.curve).all(axis=1).sum())
-        lines.append(f"    curves      {there} of {POSITIONS_NM.size} positions, {'shares of light' if c.absolute else 'relative'}")
+        lines.append(
+            f"    curves      {there} of {POSITIONS_NM.size} positions, "
+            f"{'shares of light' if c.absolute else 'relative'}"
+        )
         lines.append(f"    light       {c.light}, alone and behind {len(c.filters)} filters")
         lines.append(f"    misfit      {100 * c.curves.misfit:.2f} % of each position's brightest signal")
     lines.append("[[Camera]]")
-    lines.append(f"    sensitivity {c.sensitivities.name}; red x {c.map.gains[0]:.3f}, blue x {c.map.gains[2]:.3f}")
+    lines.append(
+        f"    sensitivity {c.sensitivities.name}; red x {c.map.gains[0]:.3f}, blue x {c.map.gains[2]:.3f}"
+    )
     if c.settings_misfit is not None:
         worst = max(c.settings.corrections.items(), key=lambda item: abs(item[1][0]))
         (kind, value), (log, se) = worst
@@ -136,14 +159,21 @@ def _plot(c: Calibration) -> str:
     straight = np.polyval(np.polyfit(s[shown], nm[shown], 1), s)
     upper.plot(s[shown], (nm - straight)[shown], color="#2455a4")
     upper.fill_between(
-        s[shown], (nm - straight - 2 * error)[shown], (nm - straight + 2 * error)[shown], color="#2455a4", alpha=0.2, lw=0
+        s[shown],
+        (nm - straight - 2 * error)[shown],
+        (nm - straight + 2 * error)[shown],
+        color="#2455a4",
+        alpha=0.2,
+        lw=0,
     )
     for f in c.map.features:
         if f.seen:
             line = float(np.mean([float(x) for x in f.name.split("+")]))
             at = float(c.map.place(np.array([line]))[0])
             upper.plot(at, float(np.interp(at, s, nm - straight)) + f.off_nm, "o", ms=5, color="#c0392b")
-            upper.annotate(f.name, (at, 0), xytext=(0, 4), textcoords="offset points", fontsize=7, rotation=90)
+            upper.annotate(
+                f.name, (at, 0), xytext=(0, 4), textcoords="offset points", fontsize=7, rotation=90
+            )
     upper.set_xlabel("place along the strip [px]")
     upper.set_ylabel("wavelength less a straight line [nm]\n(band: 2 standard errors; dots: mercury)")
     if c.curves is not None:
@@ -152,7 +182,9 @@ def _plot(c: Calibration) -> str:
             if np.isfinite(curve).all():
                 colour = f"C{k // 2 % 10}"
                 lower.plot(GRID_NM, curve, color=colour, lw=1)
-                lower.fill_between(GRID_NM, np.maximum(curve - band, 0), curve + band, color=colour, alpha=0.2, lw=0)
+                lower.fill_between(
+                    GRID_NM, np.maximum(curve - band, 0), curve + band, color=colour, alpha=0.2, lw=0
+                )
         lower.set_ylim(0, None)
     lower.set_xlim(390, 710)
     lower.set_xlabel("wavelength [nm]")

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from phoslab.fitting.spectrum import Spectrum
 
 HELP = "the spectrum of a lamp or emission session"
-EXAMPLE = "phoslab spectrum sessions/star/04-emission --lvf lvf.json -o star.csv --flat sessions/star/05-decay"
+EXAMPLE = (
+    "phoslab spectrum sessions/star/04-emission --lvf lvf.json -o star.csv --flat sessions/star/05-decay"
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -1,6 +1,7 @@
 """Calibration of the LVF and spectra through it, on recorded sessions of the bench, against the bench's own truth.
 
-The bench's filter is not the model that is fitted: its map is bent and rippled, its bands have flat tops and long tails.
+The bench's filter is not the model that is fitted: its map is bent and rippled, its bands have flat
+tops and long tails.
 """
 
 import json
@@ -57,7 +58,10 @@ def edited(session, folder, drop):
     for line in lines:
         if line["event"] == "exposure" and drop(line):
             (folder / "frames" / line["frame"]).unlink()
-            line = {k: line[k] for k in ("seq", "mono_s", "device_s", "wall")} | {"event": "note", "text": "left out"}
+            line = {k: line[k] for k in ("seq", "mono_s", "device_s", "wall")} | {
+                "event": "note",
+                "text": "left out",
+            }
         kept.append(line)
     (folder / "journal.jsonl").write_text("".join(json.dumps(x) + "\n" for x in kept))
     return folder
@@ -173,10 +177,20 @@ def test_without_an_led_there_are_wavelengths_and_no_curves(lvf_session, emissio
 
 def test_a_setting_without_dark_frames_is_left_out_and_said(lvf_session, tmp_path):
     exposures = sorted(
-        {json.loads(x)["exposure_s"] for x in (lvf_session / "journal.jsonl").read_text().splitlines() if '"dark"' in x and '"exposure"' in x}
+        {
+            json.loads(x)["exposure_s"]
+            for x in (lvf_session / "journal.jsonl").read_text().splitlines()
+            if '"dark"' in x and '"exposure"' in x
+        }
     )
     found = calibrate(
-        [edited(lvf_session, tmp_path / "s", lambda e: e["role"] == "dark" and e["exposure_s"] == exposures[-1])]
+        [
+            edited(
+                lvf_session,
+                tmp_path / "s",
+                lambda e: e["role"] == "dark" and e["exposure_s"] == exposures[-1],
+            )
+        ]
     )
     assert any("no dark frame for" in w and "filter:" in w for w in found.warnings)
     assert len(found.filters) < len(FILTERS.split(","))
@@ -184,7 +198,13 @@ def test_a_setting_without_dark_frames_is_left_out_and_said(lvf_session, tmp_pat
 
 def test_few_filters_are_said(lvf_session, tmp_path):
     found = calibrate(
-        [edited(lvf_session, tmp_path / "s", lambda e: e["role"].startswith("filter:") and e["role"] != "filter:L101")]
+        [
+            edited(
+                lvf_session,
+                tmp_path / "s",
+                lambda e: e["role"].startswith("filter:") and e["role"] != "filter:L101",
+            )
+        ]
     )
     assert found.curves is not None
     assert any("Only 1 filters" in w for w in found.warnings)
@@ -199,7 +219,9 @@ def test_a_session_of_another_plan_is_refused(lvf_session, lamp_session, calibra
 
 def test_a_strip_that_lies_elsewhere_is_refused(calibration, lamp_session):
     strip = replace(
-        calibration.strip, top=(calibration.strip.top[0] - 8, 0.0), bottom=(calibration.strip.bottom[0] - 8, 0.0)
+        calibration.strip,
+        top=(calibration.strip.top[0] - 8, 0.0),
+        bottom=(calibration.strip.bottom[0] - 8, 0.0),
     )
     with pytest.raises(PhoslabError, match="Calibrate anew"):
         measure_spectrum(lamp_session, replace(calibration, strip=strip))
