@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from phoslab.errors import PhoslabError
 from phoslab.fitting.find_strip import find_strip
 from phoslab.fitting.lvf_curves import GRID_NM, X_NM, Curves, fit_curves
+from phoslab.fitting.photon_transfer import Noise, photon_transfer
 from phoslab.fitting.sensitivities import Sensitivities
 from phoslab.fitting.settings import Settings, fit_settings
 from phoslab.fitting.strip_light import StripLight, read_light
@@ -63,6 +64,7 @@ class Calibration:
         simulated: the statement of simulated sessions, or None.
         warnings: one sentence each.
         settings_misfit: of the overlaps, None without flats.
+        noise: of the camera by ISO; empty without flats.
     """
 
     strip: Strip
@@ -78,6 +80,7 @@ class Calibration:
     simulated: str | None = None
     warnings: tuple[str, ...] = field(default=())
     settings_misfit: float | None = None
+    noise: Mapping[float, Noise] = field(default_factory=dict)
 
     def reading(self, shift_px: float = 0.0) -> Array:
         """(n_k, n) weights that turn values at the strip's nodes into means over each position; NaN off the strip.
@@ -134,9 +137,11 @@ def calibrate(
                 f"{s.path}: is of the plan {s.header.plan!r}, which calibrates nothing, and is left out."
             )
     settings, misfit = Settings(), None
+    noise: dict[float, Noise] = {}
     if flats:
         fit = fit_settings(flats[-1], progress)
         settings, misfit = fit.settings, fit.misfit
+        noise = photon_transfer(flats[-1])
         warnings += fit.warnings
     else:
         warnings.append(
@@ -234,6 +239,7 @@ def calibrate(
         simulated=(main.header.simulated or {}).get("statement"),
         warnings=tuple(dict.fromkeys(warnings)),
         settings_misfit=misfit,
+        noise=noise,
     )
 
 

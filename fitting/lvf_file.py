@@ -14,6 +14,7 @@ from phoslab.errors import PhoslabError
 from phoslab.files import read_regular, sha256, write_text
 from phoslab.fitting.lvf import POSITIONS_NM, Calibration
 from phoslab.fitting.lvf_curves import GRID_NM, Curves
+from phoslab.fitting.photon_transfer import Noise
 from phoslab.fitting.sensitivities import Sensitivities
 from phoslab.fitting.settings import Settings
 from phoslab.fitting.wavelength_map import Feature, WavelengthMap
@@ -79,6 +80,17 @@ def save(calibration: Calibration, path: Path) -> None:
             for (kind, value), (log, error) in sorted(c.settings.corrections.items())
         ],
         "settings_misfit": c.settings_misfit,
+        "noise": [
+            {
+                "iso": iso,
+                "gain_dn_per_e": list(n.gain),
+                "read_dn": list(n.read_dn),
+                "dark_dn_per_s": None if n.dark_dn_per_s is None else list(n.dark_dn_per_s),
+                "pairs": n.pairs,
+                "chi2_per_dof": n.chi2_per_dof,
+            }
+            for iso, n in sorted(c.noise.items())
+        ],
         "light": c.light,
         "filters": list(c.filters),
         "warnings": list(c.warnings),
@@ -167,7 +179,21 @@ def _calibration(data: dict[str, Any]) -> Calibration:
         simulated=data["simulated"],
         warnings=tuple(data["warnings"]),
         settings_misfit=data["settings_misfit"],
+        noise={
+            n["iso"]: Noise(
+                gain=_with_error(n["gain_dn_per_e"]),
+                read_dn=_with_error(n["read_dn"]),
+                dark_dn_per_s=None if n["dark_dn_per_s"] is None else _with_error(n["dark_dn_per_s"]),
+                pairs=n["pairs"],
+                chi2_per_dof=n["chi2_per_dof"],
+            )
+            for n in data["noise"]
+        },
     )
+
+
+def _with_error(values: list[float]) -> tuple[float, float]:
+    return values[0], values[1]
 
 
 def _listed(values: Array) -> list[Any]:

@@ -283,7 +283,7 @@ class _Model:
         if self.shape is not None:
             x = (nm - centre[:, None]) * 550 / np.maximum(centre, 1.0)[:, None] * _WIDTH_NM / max(p[-5], 1.0)
             known: Array = np.interp(x, *self.shape, left=0.0, right=0.0)
-            return known + np.exp(np.clip(p[-3], -14, -2))
+            return np.asarray(known + np.exp(np.clip(p[-3], -14, -2)))
         width, power, leak = p[-5] * centre / 550, np.clip(p[-4], 1.2, 8.0), np.exp(np.clip(p[-3], -14, -2))
         offset = np.abs(2 * (nm - centre[:, None]) / np.maximum(width, 1.0)[:, None])
         return np.asarray(np.exp(-np.log(2) * np.minimum(offset**power, 60.0)) + leak)

@@ -134,6 +134,17 @@ def _report(c: Calibration) -> str:
             f"    settings    {len(c.settings.corrections)} from overlaps (misfit {100 * c.settings_misfit:.2f} %); "
             f"farthest off: {kind} {value:g}, {100 * np.expm1(log):+.1f} ± {100 * se:.1f} %"
         )
+    for iso, n in sorted(c.noise.items()):
+        electrons = n.read_dn[0] / n.gain[0]
+        lines.append(
+            f"    ISO {iso:<8g}{n.gain[0]:.4g} ± {n.gain[1]:.2g} DN per electron, read noise {n.read_dn[0]:.3g} ± "
+            f"{n.read_dn[1]:.1g} DN ({electrons:.1f} electrons)"
+            + (
+                ""
+                if n.dark_dn_per_s is None
+                else f", dark current {n.dark_dn_per_s[0]:.2g} ± {n.dark_dn_per_s[1]:.1g} DN/s"
+            )
+        )
     if c.simulated:
         lines.append(f"    {c.simulated}")
     if c.warnings:
