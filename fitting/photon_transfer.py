@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 _LONG_S = 0.5
-"""Dark current is some DN a second at most: in shorter frames a black level that drifts by a fraction of a DN hides it."""
+"""Dark current is some DN a second at most: in shorter frames a black level that drifts hides it."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""In the limited workers: what two frames of the same thing differ by, in tiles. `phoslab.fitting.photon_transfer` asks."""
+"""In the limited workers: what two frames of one thing differ by, in tiles (`phoslab.fitting.photon_transfer`)."""
 
 from __future__ import annotations
 
