@@ -2,7 +2,7 @@
 
     python tests/benchmarks/spectra.py FOLDER
 
-FOLDER holds, or is given, a `flats` session and an `lvf` session of the simulated bench with every filter that is known.
+FOLDER holds, or is given, a `flats` session and an `lvf` session of the simulated bench with every known filter.
 The calibration sees 14 of them. Errors are root mean squares over 420..680 nm, relative to the spectrum's own.
 """
 
