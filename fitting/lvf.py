@@ -193,7 +193,11 @@ def calibrate(
         # The bands' true shape locates them better than the first one did.
         first = _curves(strip, at, known_lights, at_nm)
         if first is not None:
+            before = at
             at = fit_map(strip.nodes_px, seen_mercury, known_lights, at_nm, (X_NM, first.shape(POSITIONS_NM)))
+            # What the bands' shape does to the map is not in its covariance.
+            moved = at.coefficients_nm - before.coefficients_nm
+            at = replace(at, covariance_nm2=at.covariance_nm2 + np.outer(moved, moved))
             curves = _curves(strip, at, known_lights, sensitivities.times(at.gains).at(NM))
     if seen_mercury is not None:
         for feature in at.features:
