@@ -7,7 +7,7 @@ import hashlib
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
@@ -47,6 +47,23 @@ def check_writable(path: str | os.PathLike[str]) -> None:
             file=target,
             remedy="Choose another folder.",
         )
+
+
+def check_outside(outputs: Sequence[Path], sessions: Sequence[Path]) -> None:
+    """Refuse, before any work, what cannot be written, is named twice, or lies in a session, which never changes.
+
+    Raises:
+        PhoslabError: the error names the output.
+    """
+    for k, output in enumerate(outputs):
+        check_writable(output)
+        where = output.resolve()
+        if where in [other.resolve() for other in outputs[:k]]:
+            raise PhoslabError("is named twice", file=output, remedy="Name different files.")
+        if any(where.is_relative_to(session.resolve()) for session in sessions):
+            raise PhoslabError(
+                "lies in the session, which is never written to", file=output, remedy="Name a file elsewhere."
+            )
 
 
 @contextmanager

@@ -10,7 +10,7 @@ Signals are in DN (the sensor's digital numbers) above black, linear in light.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -93,7 +93,7 @@ def read_raw(path: str | os.PathLike[str], *, workers: Workers | None = None) ->
     Raises:
         PhoslabError: the file is missing, is no Bayer RAW frame, is damaged, or takes too much time or memory.
     """
-    (answer,) = _decoded("job_values", [Path(path)], {}, workers, None)
+    (answer,) = decoded("phoslab.raw_worker:job_values", [Path(path)], {}, workers, None)
     return RawFrame(path=Path(path), **answer)
 
 
@@ -105,7 +105,7 @@ def read_settings(path: str | os.PathLike[str], *, workers: Workers | None = Non
     Raises:
         PhoslabError: as `read_raw`.
     """
-    (answer,) = _decoded("job_settings", [Path(path)], {}, workers, None)
+    (answer,) = decoded("phoslab.raw_worker:job_settings", [Path(path)], {}, workers, None)
     return {name: answer[name] for name in ("exposure_s", "iso", "f_number")}
 
 
@@ -129,7 +129,7 @@ def region_means(
     Raises:
         PhoslabError: as `read_raw`; or the region does not fit the frame.
     """
-    (answer,) = _decoded("job_means", [Path(path)], _region_job(region), workers, None)
+    (answer,) = decoded("phoslab.raw_worker:job_means", [Path(path)], _region_job(region), workers, None)
     return _means(Path(path), answer)
 
 
@@ -153,11 +153,11 @@ def frame_means(
             signal cannot be told.
     """
     paths = [frame.path for frame in frames]
-    answers = _decoded("job_means", paths, _region_job(region), workers, progress)
+    answers = decoded("phoslab.raw_worker:job_means", paths, _region_job(region), workers, progress)
     results = []
     for frame, answer in zip(frames, answers, strict=True):
         means = _means(frame.path, answer)
-        _check_settings(frame, means)
+        check_settings(frame, vars(means))
         results.append(
             replace(
                 means, exposure_s=frame.exposure_s, iso=frame.iso, f_number=frame.f_number or means.f_number
@@ -172,7 +172,7 @@ def preview(path: str | os.PathLike[str], *, largest: int = 512, workers: Worker
     Raises:
         PhoslabError: as `read_raw`.
     """
-    (answer,) = _decoded("job_preview", [Path(path)], {"largest": largest}, workers, None)
+    (answer,) = decoded("phoslab.raw_worker:job_preview", [Path(path)], {"largest": largest}, workers, None)
     return Preview(path=Path(path), **{**answer, "shape": tuple(answer["shape"])})
 
 
@@ -216,9 +216,14 @@ def _means(path: Path, answer: dict[str, Any]) -> RegionMeans:
     return RegionMeans(path=path, **{**answer, "shape": tuple(answer["shape"])})
 
 
-def _check_settings(frame: Frame, means: RegionMeans) -> None:
+def check_settings(frame: Frame, found_in_file: Mapping[str, Any]) -> None:
+    """Refuse a frame whose own EXIF settings are more than `SETTING_TOLERANCE` off the journal's.
+
+    Raises:
+        PhoslabError: one of them is wrong, and the signal cannot be told.
+    """
     for name, unit in (("exposure_s", " s"), ("iso", ""), ("f_number", "")):
-        said, found = getattr(frame, name), getattr(means, name)
+        said, found = getattr(frame, name), found_in_file[name]
         if said is None or found is None:
             continue
         if abs(np.log(found / said)) > np.log1p(SETTING_TOLERANCE):
@@ -230,20 +235,24 @@ def _check_settings(frame: Frame, means: RegionMeans) -> None:
             )
 
 
-def _decoded(
+def decoded(
     job: str,
     paths: Sequence[Path],
     parameters: dict[str, Any],
-    workers: Workers | None,
-    progress: Callable[[int, int], None] | None,
+    workers: Workers | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[dict[str, Any]]:
-    """Run a job of phoslab.raw_worker on every file; the answers in order."""
+    """Run a job ("module:function") on every file in the limited workers; the answers in order.
+
+    Raises:
+        PhoslabError: a file is missing, or its job failed or refused it.
+    """
     for path in paths:
         if not path.is_file():
             raise PhoslabError("does not exist", file=path, remedy="Name a RAW file (DNG, CR2, NEF ...).")
     answers: dict[int, dict[str, Any]] = {}
     jobs = [{"path": str(path.absolute()), **parameters} for path in paths]
-    for index, answer in (workers or shared()).run_as_done(f"phoslab.raw_worker:{job}", jobs):
+    for index, answer in (workers or shared()).run_as_done(job, jobs):
         if isinstance(answer, Failure):
             raise PhoslabError(
                 f"cannot be decoded: it {answer.reason}",

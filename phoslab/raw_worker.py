@@ -146,7 +146,10 @@ def job_means(
     n, n_saturated, sums = np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3)
     differences: list[list[Array]] = [[], [], []]
     signals: list[list[Array]] = [[], [], []]
-    for cfa, x, u in _planes(frame, use):
+    # Only the mask's bounding box is looked at.
+    rows, columns = np.flatnonzero(use.any(axis=1)), np.flatnonzero(use.any(axis=0))
+    bounds = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+    for cfa, (x, u) in planes(frame.cfa[bounds], frame.values[bounds], use[bounds]):
         colour = 1 if cfa == 3 else cfa
         black, white = frame.black[cfa], frame.white[cfa]
         clipped = x >= black + SATURATED * (white - black)
@@ -189,22 +192,16 @@ def _period(cfa: NDArray[np.uint8]) -> int:
     return 2 if bayer else 6
 
 
-def _planes(
-    frame: RawFrame, use: NDArray[np.bool_]
-) -> Iterator[tuple[int, NDArray[np.uint16], NDArray[np.bool_]]]:
-    """Split a frame into planes of one pixel a pattern: LibRaw's colour, values and mask of each.
+def planes(cfa: NDArray[np.uint8], *images: NDArray[Any]) -> Iterator[tuple[int, list[NDArray[Any]]]]:
+    """Split images (h, w) into planes of one pixel a pattern: LibRaw's colour and the planes of all images.
 
-    All pixels of a plane have one colour, one black level and lie one pattern apart. Only the mask's bounding
-    box is looked at.
+    All pixels of a plane have one colour, one black level and lie one pattern apart.
     """
-    period = _period(frame.cfa)
-    rows, columns = np.flatnonzero(use.any(axis=1)), np.flatnonzero(use.any(axis=0))
-    box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-    cfa, values, mask = frame.cfa[box], frame.values[box], use[box]
-    for y in range(min(period, mask.shape[0])):
-        for x in range(min(period, mask.shape[1])):
+    period = _period(cfa)
+    for y in range(min(period, cfa.shape[0])):
+        for x in range(min(period, cfa.shape[1])):
             plane = (slice(y, None, period), slice(x, None, period))
-            yield int(cfa[y, x]), values[plane], mask[plane]
+            yield int(cfa[y, x]), [image[plane] for image in images]
 
 
 def _second_differences(x: NDArray[np.uint16], use: NDArray[np.bool_]) -> Iterator[tuple[Array, Array]]:
@@ -232,16 +229,27 @@ def _variance_at(mean: float, d: Array, signal: Array) -> float:
         d: (n,) second differences.
         signal: (n,) DN above black where they were taken.
     """
+    offset, slope = noise_law(d, signal)
+    return max(0.0, offset + slope * mean)
+
+
+def noise_law(d: Array, signal: Array) -> tuple[float, float]:
+    """Noise variance of a pixel as (offset, slope) of a line in its signal, NaN where nothing says.
+
+    Args:
+        d: (n,) second differences.
+        signal: (n,) DN above black where they were taken.
+    """
     n_groups = min(8, d.size // 64)
     if n_groups < 2:
-        return float(np.mean(d**2) / 6) if d.size else float("nan")
+        return (float(np.mean(d**2) / 6) if d.size else float("nan")), 0.0
     groups = np.array_split(np.argsort(signal), n_groups)
     at = np.array([signal[g].mean() for g in groups])
     variance = np.array([_clipped_mean_square(d[g]) / 6 for g in groups])
     # Theil-Sen: the median of the slopes of all pairs does not heed a minority of groups full of edges.
     i, j = np.triu_indices(n_groups, 1)
     slope = max(0.0, float(np.median((variance[j] - variance[i]) / np.maximum(at[j] - at[i], 1e-9))))
-    return max(0.0, float(np.median(variance - slope * (at - mean))))
+    return float(np.median(variance - slope * at)), slope
 
 
 def _clipped_mean_square(d: Array) -> float:

@@ -1,7 +1,9 @@
 """Calibration of the linear variable filter (Nalbach 2017, 8.4.2).
 
 A mercury lamp seen through it says which wavelength passes where. A white LED seen through it, alone and behind many
-colour filters of known transmission, says how wide the band is that passes.
+colour filters of known transmission, says how wide the band is that passes. The card under the LED
+without the strip, last, says
+how evenly that lights it.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from phoslab.plan_parameters import Lvf, names
 
 
 def lvf(p: Lvf, setup: Setup) -> Plan:
-    """The mercury lamp, the LED, the LED behind each filter; each filter is a part, so none is asked for twice."""
+    """Mercury lamp, LED, LED behind each filter, LED without the LVF; each is a part, so none is asked for twice."""
     used: set[Exposure] = set()
     exposure: Exposure | None = None
     filters = names(p.filters) or setup.filters
@@ -30,6 +32,7 @@ def lvf(p: Lvf, setup: Setup) -> Plan:
             )
             for k, name in enumerate(filters, start=1)
         ),
+        ("flat", "LED without the LVF", Stage("card", light="led")),
     ]
     for role, part, stage in series:
         yield Part(part)

@@ -21,6 +21,8 @@ COMMANDS = (
     "doctor",
     "measure",
     "resume",
+    "calibrate",
+    "spectrum",
     "fit",
     "classify",
     "presets",

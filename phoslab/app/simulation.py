@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from phoslab.instruments.bench import rig as bench_rig
+from phoslab.instruments.bench.lights import LED
 from phoslab.instruments.plans.steps import Stage
 from phoslab.instruments.rig import SCHEMA, Rig
 from phoslab.instruments.simulated import BenchClock, Hands, Link
@@ -72,6 +73,7 @@ def bench_of(port: Path, socket: Path) -> Rig:
             "door": {"driver": "controller", "port": str(port)},
             "camera": {"driver": "simulated", "port": str(socket), "cycle_s": 0.5, "frame_MB": 0.2},
             "filters": {"names": list(FILTERS)},
+            "led": {"spectrum": LED},
         }
     )
 

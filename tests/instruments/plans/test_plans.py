@@ -283,9 +283,10 @@ def test_the_noise_model_has_pairs_at_several_levels_for_every_iso() -> None:
 
 def test_each_filter_is_a_part_of_its_own_and_says_how_many_there_are() -> None:
     player = run("lvf", lambda since_s, stage, _: 40.0 if stage.filter == "none" else 4.0)
-    assert player.parts == ["mercury", "LED", "filter R02", "filter R27", "filter R80", "dark frames"]
+    filters = ["filter R02", "filter R27", "filter R80"]
+    assert player.parts == ["mercury", "LED", *filters, "LED without the LVF", "dark frames"]
     roles = [step.role for step, _ in player.shots if step.role not in ("meter", "dark")]
-    assert roles == ["mercury", "led", "filter:R02", "filter:R27", "filter:R80"]
+    assert roles == ["mercury", "led", "filter:R02", "filter:R27", "filter:R80", "flat"]
     stages = [s for s in player.steps if isinstance(s, Stage) and s.filter != "none"]
     assert [s.progress for s in stages] == ["filter 1 of 3", "filter 2 of 3", "filter 3 of 3"]
 

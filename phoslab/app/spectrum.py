@@ -1,0 +1,128 @@
+"""The spectrum of the lamp or of a glowing sample, from a session through the calibrated linear variable filter.
+
+The table that it writes serves as a spectrum in scenes, too: wavelength in nm, value, standard error.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from phoslab.fitting.spectrum import Spectrum
+
+HELP = "the spectrum of a lamp or emission session"
+EXAMPLE = (
+    "phoslab spectrum sessions/star/04-emission --lvf lvf.json -o star.csv --flat sessions/star/05-decay"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("session", type=Path, metavar="SESSION", help="folder of a lamp or emission session")
+    parser.add_argument("--lvf", required=True, type=Path, metavar="FILE", help="calibration to use")
+    parser.add_argument("-o", "--output", required=True, type=Path, metavar="FILE.csv", help="table to write")
+    parser.add_argument(
+        "--flat",
+        type=Path,
+        metavar="SESSION",
+        help="the same scene without the filter (flats for a lamp, decay for a sample): how evenly it is lit",
+    )
+    parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="also draw it")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+
+
+def run(args: argparse.Namespace) -> int:
+    import json
+
+    from phoslab.app.progress import progress_bar
+    from phoslab.bands import Bands
+    from phoslab.files import check_outside, write_text
+    from phoslab.fitting.lvf_file import load
+    from phoslab.fitting.spectrum import measure_spectrum
+
+    sessions = [s for s in (args.session, args.flat) if s is not None]
+    check_outside([p for p in (args.output, args.plot) if p is not None], sessions)
+    calibration, digest = load(args.lvf)
+    with progress_bar("decoding frames", quiet=args.json) as progress:
+        result = measure_spectrum(args.session, calibration, flat=args.flat, progress=progress)
+    write_text(args.output, _table(result, args.lvf.name, digest))
+    if args.plot:
+        write_text(args.plot, _plot(result))
+    bands = Bands.uniform()
+    means, errors = result.band_means(bands)
+    if args.json:
+        print(
+            json.dumps(
+                {
+                    "spectrum": str(args.output),
+                    "plot": str(args.plot) if args.plot else None,
+                    "peak_nm": result.peak_nm,
+                    "band_edges_nm": bands.edges_nm.tolist(),
+                    "band_means": means.tolist(),
+                    "band_standard_error": errors.tolist(),
+                    "shift_px": result.shift_px,
+                    "misfit": result.scaled_misfit,
+                    "warnings": list(result.warnings),
+                }
+            )
+        )
+        return 0
+    lines = ["[[Spectrum]]", f"    session     {result.session[0]} ({result.plan})  {result.session[1][:12]}"]
+    lines.append(f"    calibration {args.lvf.name}  {digest[:12]}")
+    lines.append(f"    peak        {result.peak_nm:.1f} nm")
+    lines.append(f"    misfit      {result.scaled_misfit:.2f} of what noise and calibration explain")
+    lines.append(f"    strip       moved by {result.shift_px:+.2f} px along itself since the calibration")
+    lines.append("[[Band means]]  (1 at the spectrum's highest)")
+    for j in range(bands.n):
+        lines.append(f"    {bands.label(j):14s}  {means[j]:.4f} ± {errors[j]:.4f}")
+    if result.simulated:
+        lines.append(f"    {result.simulated}")
+    if result.warnings:
+        lines.append("[[Warnings]]")
+        lines += [f"    - {w}" for w in result.warnings]
+    print("\n".join(lines))
+    print(f"Wrote {args.output}" + (f" and {args.plot}" if args.plot else ""))
+    return 0
+
+
+def _table(result: Spectrum, calibration: str, digest: str) -> str:
+    lines = [
+        f"# session {result.session[0]} ({result.plan}) sha256 {result.session[1]}",
+        f"# calibration {calibration} sha256 {digest}",
+        f"# relative spectral radiance, 1 at its highest; that is {result.scale:.6g} in the camera's unit",
+    ]
+    if result.simulated:
+        lines.append(f"# {result.simulated}")
+    lines.append("# wavelength_nm,value,standard_error")
+    for nm, value, error in zip(result.nm, result.value, result.standard_error, strict=True):
+        lines.append(f"{nm:g},{value:.6g},{error:.3g}")
+    return "\n".join(lines) + "\n"
+
+
+def _plot(result: Spectrum) -> str:
+    """The spectrum with its band; and what each position showed, with what the spectrum predicts."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from phoslab.app.figures import svg
+    from phoslab.fitting.lvf import POSITIONS_NM
+
+    figure = Figure(figsize=(8, 6.5), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    band = 2 * result.standard_error
+    upper.plot(result.nm, result.value, color="#2455a4")
+    upper.fill_between(
+        result.nm, np.maximum(result.value - band, 0), result.value + band, color="#2455a4", alpha=0.2, lw=0
+    )
+    upper.set_ylim(0, 1.3)
+    upper.set_ylabel("relative spectral radiance\n(band: 2 standard errors)")
+    top = np.nanmax(result.measured)
+    for c, colour in enumerate(("#c0392b", "#1e8449", "#2455a4")):
+        lower.plot(POSITIONS_NM, result.measured[:, c] / top, "o", ms=3, color=colour)
+        lower.plot(POSITIONS_NM, result.predicted[:, c] / top, color=colour, lw=1)
+    lower.set_xlabel("wavelength, or a position's middle [nm]")
+    lower.set_ylabel("signal at the positions\n(points: measured, lines: predicted)")
+    for axes in (upper, lower):
+        axes.grid(alpha=0.25)
+    return svg(figure)

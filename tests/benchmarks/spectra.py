@@ -1,0 +1,122 @@
+"""Spectra through the LVF against the truth: 24 ColorChecker patches (Nalbach 2017, Fig. 8.8) and 263 colour filters.
+
+    python tests/benchmarks/spectra.py FOLDER
+
+FOLDER holds, or is given, a `flats` session and an `lvf` session of the simulated bench with every known filter.
+The calibration sees 14 of them. Errors are root mean squares over 420..680 nm, relative to the spectrum's own.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from phoslab.app.cli import main
+from phoslab.app.simulation import FILTERS
+from phoslab.fitting import lvf
+from phoslab.fitting.filters import transmission
+from phoslab.fitting.spectrum import NM, reconstruct
+from phoslab.fitting.strip_light import read_light
+from phoslab.instruments.bench import darkroom, lights
+from phoslab.instruments.bench.dng import write_dng
+from phoslab.session import Frame, Session
+
+SEEN = (NM >= 420) & (NM <= 680)
+
+
+@dataclass
+class Part:
+    """Some frames of a session."""
+
+    path: Path
+    frames: tuple[Frame, ...]
+
+    def frames_of(self, role: str) -> tuple[Frame, ...]:
+        return tuple(f for f in self.frames if f.role == role)
+
+
+def error(value: np.ndarray, truth: np.ndarray) -> float:
+    scale = (value @ truth) / (value @ value)
+    return float(np.sqrt(np.mean((scale * value - truth)[SEEN] ** 2) / np.mean(truth[SEEN] ** 2)))
+
+
+def patches(folder: Path) -> tuple[Part, list[str]]:
+    """Frames of the checker's patches under the LED through the strip, straight from the bench's physics."""
+    room = darkroom.Darkroom(2)
+    names = list(darkroom._checker())
+    rng = np.random.default_rng(1)
+    frames = []
+
+    def shoot(role: str, t_s: float, exposure_s: float) -> None:
+        path = folder / f"{len(frames):04d}.dng"
+        light = (
+            room.camera.on_pixels(room.expose(t_s, exposure_s))
+            if role != "dark"
+            else np.zeros(room.camera.shape)
+        )
+        values = room.camera.numbers(light, exposure_s=exposure_s, iso=100, f_number=2.8284, rng=rng)
+        settings = {"exposure_s": exposure_s, "iso": 100, "f_number": 2.8284}
+        write_dng(
+            path, values, room.camera.sensor, **settings, taken="2026:01:01 00:00:00", description="bench"
+        )
+        frames.append(Frame(path, path.name, role, t_s, exposure_s, 100.0, 2.8284, ""))
+
+    room.door.drive(0.0, 1.0, 0.3)
+    for k, name in enumerate(names):
+        room.place(600.0 * (k + 1), darkroom.Stage(f"patch:{name}", "camera", "none", "led"))
+        shoot(name, 600.0 * (k + 1) + 500.0, 1 / 32)
+    for _ in range(4):
+        shoot("dark", 0.0, 1 / 32)
+    return Part(folder, tuple(frames)), names
+
+
+def report(kind: str, errors: dict[str, float]) -> None:
+    worst = max(errors, key=lambda name: errors[name])
+    print(
+        f"{kind}: {len(errors)} spectra, median error {np.median(list(errors.values())):.1%}, "
+        f"90 % below {np.quantile(list(errors.values()), 0.9):.1%}, worst {errors[worst]:.1%} ({worst})"
+    )
+
+
+def run(folder: Path) -> None:
+    for plan, options in (("flats", []), ("lvf", ["--filters", ",".join(lights.filter_names())])):
+        if not (folder / plan).exists():
+            main(["measure", plan, "--simulate", "green", "-o", str(folder / plan), "--json", *options])
+    session = Session.open(folder / "lvf")
+    everything = {f.role.removeprefix("filter:") for f in session.frames_of("filter:")}
+    with tempfile.TemporaryDirectory() as temporary:
+        # The calibration is to see few: lvf._known_filters says which are known to it.
+        known = lvf._known_filters
+        lvf._known_filters = lambda s, w: {n: c for n, c in known(s, w).items() if n in FILTERS}
+        calibration = lvf.calibrate([folder / "lvf", folder / "flats"])
+        led = lights.led()(NM)
+        flat, _ = read_light(
+            session, session.frames_of("flat"), calibration.strip, calibration.settings, scattered=False
+        )
+        evenness = lvf.shading(flat[0])
+        errors = {}
+        for name in sorted(everything - set(FILTERS)):
+            lights_of, _ = read_light(
+                session, session.frames_of(f"filter:{name}"), calibration.strip, calibration.settings
+            )
+            curve = transmission(name)
+            if lights_of and curve is not None:
+                found = reconstruct(lights_of[0], calibration, evenness)
+                errors[name] = error(found.value, led * np.interp(NM, *curve))
+        report("colour filters", errors)
+        part, names = patches(Path(temporary))
+        reflectance = darkroom._checker()
+        errors = {}
+        for name in names:
+            lights_of, _ = read_light(part, part.frames_of(name), calibration.strip, calibration.settings)
+            found = reconstruct(lights_of[0], calibration, evenness)
+            errors[name] = error(found.value, led * np.interp(NM, darkroom.NM, reflectance[name]))
+        report("ColorChecker", errors)
+
+
+if __name__ == "__main__":
+    run(Path(sys.argv[1]))
