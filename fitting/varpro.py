@@ -267,7 +267,7 @@ def _linear(phi: Array, y: Array, signed: Mask | None) -> tuple[Array, Mask, Arr
     x, free = np.zeros((n_blocks, n_x)), np.zeros((n_blocks, n_x), bool)
     q, r = np.zeros(phi.shape), np.tile(np.eye(n_x), (n_blocks, 1, 1))
     for b in range(n_blocks):
-        if not usable[b].any():  # scipy's nnls crashes on a matrix without columns (its issue 24861)
+        if not usable[b].any():  # scipy's nnls crashes on a matrix without columns
             continue
         columns = unit[b][:, usable[b]]
         sign_free = np.flatnonzero(may_be_negative[usable[b]])
