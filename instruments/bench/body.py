@@ -124,6 +124,19 @@ class Shot:
         return self.open_s + self.true[0]
 
 
+def true_settings(serial: int) -> dict[str, dict[float, float]]:
+    """What the numbers on the dials of this copy of the camera really mean: seconds, ISO, f-number.
+
+    Third stops are what a camera means, whatever it writes on its dial, and it meets them only so well.
+    """
+    rng = np.random.default_rng([0xB0D7, serial])
+    return {
+        "exposure_s": dict(zip(_EXPOSURES, _off(2.0 ** (np.arange(-39, 16) / 3), 0.004, rng), strict=True)),
+        "iso": dict(zip(_ISOS, _off(100 * 2.0 ** (np.arange(19) / 3), 0.015, rng), strict=True)),
+        "f_number": dict(zip(_F_NUMBERS, _off(2.0 ** (np.arange(9, 28) / 6), 0.008, rng), strict=True)),
+    }
+
+
 @dataclass
 class Body:
     """The camera's body.
@@ -158,15 +171,7 @@ class Body:
         self._connection = 0
         self._away_until = 0.0
         self._files: dict[int, bytes] = {}
-        rng = np.random.default_rng([0xB0D7, self.room.camera.serial])
-        # Third stops are what a camera means, whatever it writes on its dial, and it meets them only so well.
-        self.true: dict[str, dict[float, float]] = {
-            "exposure_s": dict(
-                zip(_EXPOSURES, _off(2.0 ** (np.arange(-39, 16) / 3), 0.004, rng), strict=True)
-            ),
-            "iso": dict(zip(_ISOS, _off(100 * 2.0 ** (np.arange(19) / 3), 0.015, rng), strict=True)),
-            "f_number": dict(zip(_F_NUMBERS, _off(2.0 ** (np.arange(9, 28) / 6), 0.008, rng), strict=True)),
-        }
+        self.true = true_settings(self.room.camera.serial)
 
     @property
     def last(self) -> Shot | None:

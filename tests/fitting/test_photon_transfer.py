@@ -22,10 +22,7 @@ def flats(tmp_path_factory):
 @pytest.fixture(scope="module")
 def true():
     """What the bench's dials really mean."""
-    found = body.Body.__new__(body.Body)
-    found.room = type("Room", (), {"camera": CANON})()
-    body.Body.__post_init__(found)
-    return found._true
+    return body.true_settings(CANON.serial)
 
 
 def test_gain_and_read_noise_are_the_cameras_within_their_errors(flats, true):
