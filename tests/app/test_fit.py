@@ -158,7 +158,7 @@ def test_a_session_is_continued_with_a_band_and_bootstrapped(session, tmp_path, 
         "--preset",
         "green",
         "--states",
-        "2",
+        "3",
         "-o",
         str(tmp_path / "m.json"),
         "--json",
@@ -175,6 +175,6 @@ def test_a_session_is_continued_with_a_band_and_bootstrapped(session, tmp_path, 
 
 
 def test_what_is_continued_is_said_to_a_person(session, tmp_path, capsys):
-    arguments = ["fit", str(session), "--preset", "green", "--states", "2", "-o", str(tmp_path / "m.json")]
+    arguments = ["fit", str(session), "--preset", "green", "--states", "3", "-o", str(tmp_path / "m.json")]
     assert cli.main([*arguments, "--extrapolate", "3600"]) == 0
     assert "3600 s: R" in capsys.readouterr().out

@@ -34,11 +34,11 @@ def levels(rng, **last):
 
 def test_decays_of_one_shape_are_believed_as_often_as_promised():
     held = []
-    for seed in range(20):
+    for seed in range(8):
         shape, rates = assumptions._one_shape(levels(np.random.default_rng(seed)))
         held += [[shape.held, rates.held]]
-    # Refused with 1 % each; more than 2 of 20 has a chance of 1e-3.
-    assert (20 - np.sum(held, axis=0) <= 2).all()
+    # Refused with 1 % each; more than one of 8 has a chance of 3e-3 (seeds are fixed).
+    assert (8 - np.sum(held, axis=0) <= 1).all()
 
 
 def test_other_amplitudes_are_another_shape_but_not_other_rates():
