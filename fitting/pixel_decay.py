@@ -29,7 +29,7 @@ from phoslab.fitting.pixel_kernels import cholesky, column, search, sound, start
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
-# Rounds of weights and colour where noise depends on the signal: the third moves rates by less than 1e-3 of their error.
+# Rounds of weights and colour where noise depends on the signal: the third moves rates by under 1e-3 of their error.
 _ROUNDS = 3
 _STARTS = 2
 # A series whose light stands less than this many standard errors above nothing is not fitted.
