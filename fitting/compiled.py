@@ -12,9 +12,13 @@ _F = TypeVar("_F", bound=Callable[..., object])
 
 def compiled(function: _F) -> _F:
     """Compile a function at its first call, and keep the result on disk where a folder can be written to."""
-    # Sums may be taken in any order (SIMD), but NaN and infinity keep their meaning.
-    options = {"nogil": True, "fastmath": {"reassoc", "contract", "nsz"}, "error_model": "numpy"}
     try:
-        return cast(_F, numba.njit(cache=True, **options)(function))
+        return _with_cache(function, True)
     except RuntimeError:  # numba finds no folder for its cache
-        return cast(_F, numba.njit(**options)(function))
+        return _with_cache(function, False)
+
+
+def _with_cache(function: _F, cache: bool) -> _F:
+    # Sums may be taken in any order (SIMD), but NaN and infinity keep their meaning.
+    fast = {"reassoc", "contract", "nsz"}
+    return cast(_F, numba.njit(cache=cache, nogil=True, fastmath=fast, error_model="numpy")(function))

@@ -11,7 +11,6 @@ signal: it is taken from m, not from the noisy y (which would favour what fell l
 
 from __future__ import annotations
 
-import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -22,20 +21,14 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.fitting.compiled import compiled
+from phoslab.fitting import pixel_kernels
 from phoslab.fitting.decay import exposed_decay
-from phoslab.fitting.pixel_kernels import cholesky, column, search, sound, start, substitute
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 # Rounds of weights and colour where noise depends on the signal: the third moves rates by under 1e-3 of their error.
 _ROUNDS = 3
-_STARTS = 2
-# A series whose light stands less than this many standard errors above nothing is not fitted.
-_VISIBLE = 10.0
-# χ² beyond this normal deviate is no chance (1 in 1,000): standard errors are widened by its root.
-_CHANCE = 3.09
 _PIXELS_A_TASK = 4096
 
 
@@ -43,18 +36,14 @@ class Flag(IntFlag):
     """What is to be said of a pixel."""
 
     MASKED = 1  # does not glow: not fitted
-    CLIPPED = 2  # some of its values are saturated, or of hot pixels, and left out
-    DARK = 4  # too dark, or with too few values, to be fitted
-    UNCONVERGED = 8  # the search did not end
-    FEWER = 16  # carries fewer states than the sample; the others have no light
+    CLIPPED = pixel_kernels.CLIPPED  # some of its values are saturated, or of hot pixels, and left out
+    DARK = pixel_kernels.DARK  # too dark, or with too few values, to be fitted
+    UNCONVERGED = pixel_kernels.UNCONVERGED  # the search did not end
+    FEWER = pixel_kernels.FEWER  # carries fewer states than the sample; the others have no light
     UNDETERMINED = (
-        32  # a rate lies at the end of what these times can tell, or its error is as large as it is
-    )
-    MISFIT = 64  # the model misses the data by more than noise; errors are widened
-
-
-_CLIPPED, _DARK, _UNCONVERGED = int(Flag.CLIPPED), int(Flag.DARK), int(Flag.UNCONVERGED)
-_FEWER, _UNDETERMINED, _MISFIT = int(Flag.FEWER), int(Flag.UNDETERMINED), int(Flag.MISFIT)
+        pixel_kernels.UNDETERMINED
+    )  # a rate is at the end of what times can tell, or as large as its error
+    MISFIT = pixel_kernels.MISFIT  # the model misses the data by more than noise; errors are widened
 
 
 @dataclass(frozen=True)
@@ -112,9 +101,14 @@ class PixelFits:
     @classmethod
     def empty(cls, n_pixels: int, n_states: int, n_channels: int) -> PixelFits:
         """Room for fits."""
-        wide = [np.zeros((n_pixels, n_states), np.float32) for _ in range(4)]
+        kr, amplitude, kr_error, amplitude_error = (
+            np.zeros((n_pixels, n_states), np.float32) for _ in range(4)
+        )
         return cls(
-            *wide,
+            kr_per_s=kr,
+            amplitude=amplitude,
+            kr_error=kr_error,
+            amplitude_error=amplitude_error,
             colour=np.zeros((n_pixels, n_channels), np.float32),
             chi2_per_dof=np.zeros(n_pixels, np.float32),
             flags=np.zeros(n_pixels, np.uint8),
@@ -190,7 +184,7 @@ def fit_pixels(problem: PixelProblem, y: Pixels, *, threads: int | None = None) 
 
     def task(first: int) -> None:
         some = slice(first, min(first + _PIXELS_A_TASK, n_pixels))
-        _fit(
+        pixel_kernels.fit(
             problem.t_s,
             problem.exposure_s,
             noise.floor,
@@ -213,223 +207,3 @@ def fit_pixels(problem: PixelProblem, y: Pixels, *, threads: int | None = None) 
     with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
         list(pool.map(task, range(0, n_pixels, _PIXELS_A_TASK)))
     return fits
-
-
-@compiled
-def _fit(
-    t_s: Array,
-    exposure_s: Array,
-    floor: Array,
-    gain: Array,
-    repeatability: float,
-    typical: Array,
-    reference: int,
-    n_states: int,
-    limits: Array,
-    rounds: int,
-    log_grid: Array,
-    columns: Array,
-    grid_weight: Array,
-    index: tuple[NDArray[np.int64], ...],
-    inverse: tuple[Array, ...],
-    values: Pixels,
-    kr: Pixels,
-    amplitude: Pixels,
-    kr_error: Pixels,
-    amplitude_error: Pixels,
-    colour: Pixels,
-    chi2_per_dof: Pixels,
-    flags: NDArray[np.uint8],
-) -> None:
-    """Fit the pixels of `values`, and write what `PixelFits` holds."""
-    n_pixels, n_frames, n_channels = values.shape
-    y, variance = np.empty((n_frames, n_channels)), np.empty((n_frames, n_channels))
-    z, weight, m = np.empty(n_frames), np.empty(n_frames), np.empty(n_frames)
-    C = np.empty(n_channels)
-    work, state, trial = np.zeros((12, n_frames)), np.zeros((14, 4)), np.zeros((14, 4))
-    projection, log_kr = np.empty(log_grid.size), np.zeros(4)
-    for p in range(n_pixels):
-        for k in range(n_frames):
-            for c in range(n_channels):
-                y[k, c] = values[p, k, c]
-                variance[k, c] = floor[k, c] + gain[k, c] * max(typical[k, c], 0.0)
-                m[k] = typical[k, reference]
-                if math.isnan(y[k, c]):
-                    flags[p] |= _CLIPPED
-        n, chi2, converged, n_used = n_states, 0.0, False, 0
-        if not _recolour(y, variance, m, reference, C, state[0], 0):
-            flags[p] |= _DARK
-            continue
-        for turn in range(rounds):
-            n_used, seen = _combine(y, floor, gain, repeatability, C, m, variance, z, weight)
-            if n_used < 2 * n_states + 1 or (turn == 0 and not seen > _VISIBLE):
-                n = 0
-                break
-            found = False
-            if turn == 0:
-                for i in range(log_grid.size):
-                    projection[i] = 0.0
-                    for k in range(n_frames):
-                        projection[i] += columns[i, k] * grid_weight[k] * z[k]
-            else:
-                chi2, converged = search(t_s, exposure_s, z, weight, log_kr, n, limits, state, trial, work)
-                found = sound(log_kr, state[0], n)
-            while n > 0 and not found:
-                for rank in range(_STARTS):
-                    if not start(projection, index[n - 1], inverse[n - 1], n, rank, log_grid, log_kr):
-                        break
-                    chi2, converged = search(
-                        t_s, exposure_s, z, weight, log_kr, n, limits, state, trial, work
-                    )
-                    found = sound(log_kr, state[0], n)
-                    if found:
-                        break
-                if not found:
-                    n -= 1
-            if n == 0:
-                break
-            for k in range(n_frames):
-                m[k] = 0.0
-            for i in range(n):
-                column(t_s, exposure_s, log_kr[i], work[0], work[1])
-                for k in range(n_frames):
-                    m[k] += state[0, i] * work[0, k]
-            if not _recolour(y, variance, m, reference, C, state[0], n):
-                n = 0
-                break
-        if n == 0:
-            flags[p] |= _DARK
-            continue
-        if n < n_states:
-            flags[p] |= _FEWER
-        if not converged:
-            flags[p] |= _UNCONVERGED
-        dof = n_used - 2 * n
-        chi2_per_dof[p] = chi2 / dof
-        spread = 2 / (9 * dof)  # Wilson and Hilferty 1931
-        widen = 1.0
-        if chi2 > dof * (1 - spread + _CHANCE * math.sqrt(spread)) ** 3:
-            flags[p] |= _MISFIT
-            widen = math.sqrt(chi2 / dof)
-        of_scale = _scale_variance(y, variance, m, C, reference)
-        _errors(state, n, of_scale, work)
-        for c in range(n_channels):
-            colour[p, c] = C[c]
-        for i in range(n):
-            place = 0
-            for j in range(n):
-                if log_kr[j] > log_kr[i]:
-                    place += 1
-            rate, error = math.exp(log_kr[i]), widen * work[0, i]
-            kr[p, place], amplitude[p, place] = rate, state[0, i]
-            kr_error[p, place], amplitude_error[p, place] = rate * error, widen * work[1, i]
-            if not error < 1.0 or log_kr[i] <= limits[0] or log_kr[i] >= limits[1]:
-                flags[p] |= _UNDETERMINED
-
-
-@compiled
-def _combine(
-    y: Array,
-    floor: Array,
-    gain: Array,
-    repeatability: float,
-    C: Array,
-    m: Array,
-    variance: Array,
-    z: Array,
-    weight: Array,
-) -> tuple[int, float]:
-    """Write σ² about the model C m, the common series z and its weights; return used frames and light over noise."""
-    used, with_model, of_model = 0, 0.0, 0.0
-    for k in range(m.size):
-        information, total = 0.0, 0.0
-        for c in range(C.size):
-            variance[k, c] = floor[k, c] + gain[k, c] * max(C[c] * m[k], 0.0)
-            if not math.isnan(y[k, c]):
-                information += C[c] * C[c] / variance[k, c]
-                total += C[c] * y[k, c] / variance[k, c]
-        if information > 0.0:
-            used += 1
-            z[k] = total / information
-            weight[k] = 1 / (1 / information + (repeatability * m[k]) ** 2)
-        else:
-            z[k], weight[k] = m[k], 0.0
-        with_model += weight[k] * z[k] * m[k]
-        of_model += weight[k] * m[k] * m[k]
-    return used, with_model / math.sqrt(of_model) if of_model > 0.0 else 0.0
-
-
-@compiled
-def _recolour(
-    y: Array, variance: Array, m: Array, reference: int, C: Array, amplitude: Array, n: int
-) -> bool:
-    """Write the colour of least squares for the model m, and bring m and its amplitudes to C = 1 in the reference."""
-    for c in range(C.size):
-        above, below = 0.0, 0.0
-        for k in range(m.size):
-            if not math.isnan(y[k, c]):
-                above += y[k, c] * m[k] / variance[k, c]
-                below += m[k] * m[k] / variance[k, c]
-        C[c] = above / below if below > 0.0 else 0.0
-    scale = C[reference]
-    if not scale > 0.0:
-        return False
-    for c in range(C.size):
-        C[c] /= scale
-    for k in range(m.size):
-        m[k] *= scale
-    for i in range(n):
-        amplitude[i] *= scale
-    return True
-
-
-@compiled
-def _scale_variance(y: Array, variance: Array, m: Array, C: Array, reference: int) -> float:
-    """Return the relative variance that amplitudes have beyond that of the common series.
-
-    All channels tell the shape, but with a free colour only the reference tells the height: 1/I_ref - 1/I_all.
-    """
-    own, every = 0.0, 0.0
-    for k in range(m.size):
-        for c in range(C.size):
-            if not math.isnan(y[k, c]):
-                information = (C[c] * m[k]) ** 2 / variance[k, c]
-                every += information
-                if c == reference:
-                    own += information
-    return 1 / own - 1 / every if own > 0.0 else math.inf
-
-
-@compiled
-def _errors(state: Array, n: int, of_scale: float, work: Array) -> None:
-    """Write standard errors of log kr to work[0] and of A to work[1], from what `search` left.
-
-    With G = gᵀ W g and X = G⁻¹ gᵀ W d A, the covariance of log kr is the inverse of the projected normal matrix N, and
-    that of A is G⁻¹ + X N⁻¹ Xᵀ.
-    """
-    G, X = np.zeros((4, 4)), np.zeros((4, 4))
-    N, inverse = np.zeros((4, 4)), np.zeros((4, 4))
-    unit = np.zeros(4)
-    N[:] = state[2:6]
-    ok = cholesky(N, n)
-    for i in range(n):
-        unit[:] = 0.0
-        unit[i] = 1.0
-        substitute(state[6:10], n, unit)
-        G[:, i] = unit
-        unit[:] = 0.0
-        unit[i] = 1.0
-        if ok:
-            substitute(N, n, unit)
-        inverse[:, i] = unit
-    for i in range(n):
-        for j in range(n):
-            for k in range(n):
-                X[i, j] += G[i, k] * state[10 + k, j]
-    for i in range(n):
-        total = G[i, i] + of_scale * state[0, i] ** 2
-        for j in range(n):
-            for k in range(n):
-                total += X[i, j] * inverse[j, k] * X[i, k]
-        work[0, i] = math.sqrt(max(inverse[i, i], 0.0)) if ok else math.inf
-        work[1, i] = math.sqrt(max(total, 0.0)) if ok else math.inf

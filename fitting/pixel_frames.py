@@ -68,7 +68,8 @@ class PixelFrames:
     @property
     def pixels_a_colour(self) -> Array:
         """(3,) pixels of each colour in a cell."""
-        return np.bincount(self.colours.ravel(), minlength=3) * (self.cell // 2) ** 2.0
+        counts: Array = np.bincount(self.colours.ravel(), minlength=3) * (self.cell // 2) ** 2.0
+        return counts
 
     def strips(self) -> Iterator[tuple[int, Pixels]]:
         """Yield (first row of cells, signal (n_rows, n_columns, n_frames, 3)) from the top down; NaN where left out."""
@@ -187,7 +188,7 @@ def _store(
                 limit[:] = (answer["black"] + SATURATED * (answer["white"] - answer["black"]))[cfa]
             for s, top in enumerate(range(0, h, strip_rows)):
                 stream.seek(2 * (s * n + k) * strip_rows * w)
-                stream.write(values[top : top + strip_rows])
+                stream.write(values[top : top + strip_rows].data)
             sums = np.add.reduceat(values, np.arange(0, h, cell), axis=0, dtype=np.uint32)
             sums = np.add.reduceat(sums, np.arange(0, w, cell), axis=1, dtype=np.uint32)
             brightness += sums - np.float32(levels[frame.exposure_s, frame.iso].mean() * cell**2)

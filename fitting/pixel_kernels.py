@@ -1,10 +1,13 @@
-"""The search for rates in one short series, compiled for millions of them.
+"""What is done to each pixel, compiled: one series of its channels, the search for its rates, and their errors.
 
     z_k ≈ Σ_i A_i g_i(t_k),    g_i = exp(-kr_i t) averaged over the exposure
 
-Amplitudes are eliminated at each step (variable projection, with the Jacobian of Kaufman 1975); log rates are searched
-by Levenberg's and Marquardt's steps on normal equations of at most 4 x 4, whose columns g_i and ∂g_i/∂log kr_i are
-exact. Starts come from a grid of rates and need no guess.
+`fit` and what follows it make the series and its weights (see `pixel_decay`); what comes before searches. Amplitudes are
+eliminated at each step (variable projection, with the Jacobian of Kaufman 1975); log rates are searched by Levenberg's
+and Marquardt's steps on normal equations of at most 4 x 4, whose columns g_i and ∂g_i/∂log kr_i are exact. Starts come
+from a grid of rates and need no guess.
+
+All of it lies in one file, because numba looks only there whether what it has kept is still of today.
 """
 
 from __future__ import annotations
@@ -17,6 +20,10 @@ from numpy.typing import NDArray
 from phoslab.fitting.compiled import compiled
 
 Array = NDArray[np.float64]
+Pixels = NDArray[np.float32]
+
+# Bits of `pixel_decay.Flag`, as compiled code sees them.
+CLIPPED, DARK, UNCONVERGED, FEWER, UNDETERMINED, MISFIT = 2, 4, 8, 16, 32, 64
 
 _MOST_STEPS = 60
 _LONGEST_STEP = 2.0
@@ -25,10 +32,15 @@ _SETTLED = 1e-6
 _SAME_RATE = math.log(1.05)
 # Below this kr τ, differences of exponentials lose digits and a series does not.
 _SHORT = 1e-3
+_STARTS = 2
+# A series whose light stands less than this many standard errors above nothing is not fitted.
+_VISIBLE = 10.0
+# χ² beyond this normal deviate is no chance (1 in 1,000): standard errors are widened by its root.
+_CHANCE = 3.09
 
 
 @compiled
-def column(t_s: Array, exposure_s: Array, log_kr: float, g: Array, d: Array) -> None:
+def _column(t_s: Array, exposure_s: Array, log_kr: float, g: Array, d: Array) -> None:
     """Write exp(-kr t) averaged over exposures to g (n,), and its derivative by log kr to d."""
     kr = math.exp(log_kr)
     for k in range(t_s.size):
@@ -56,7 +68,7 @@ def _dot(a: Array, b: Array) -> float:
 
 
 @compiled
-def cholesky(a: Array, n: int) -> bool:
+def _cholesky(a: Array, n: int) -> bool:
     """Replace the lower triangle of a[:n, :n] by its root; False if it is not positive to ten digits."""
     for i in range(n):
         whole = a[i, i]
@@ -74,8 +86,8 @@ def cholesky(a: Array, n: int) -> bool:
 
 
 @compiled
-def substitute(root: Array, n: int, x: Array) -> None:
-    """Solve with the root of `cholesky`, in place."""
+def _substitute(root: Array, n: int, x: Array) -> None:
+    """Solve with the root of `_cholesky`, in place."""
     for i in range(n):
         for k in range(i):
             x[i] -= root[i, k] * x[k]
@@ -110,7 +122,7 @@ def _project(
         work: (12, n_frames).
     """
     for i in range(n):
-        column(t_s, exposure_s, log_kr[i], work[i], work[4 + i])
+        _column(t_s, exposure_s, log_kr[i], work[i], work[4 + i])
     for i in range(n):
         for k in range(z.size):
             work[8 + i, k] = work[i, k] * weight[k]
@@ -119,9 +131,9 @@ def _project(
         amplitude[i] = _dot(work[8 + i], z)
         for j in range(n):
             cross[i, j] = _dot(work[8 + i], work[4 + j])
-    if not cholesky(root, n):
+    if not _cholesky(root, n):
         return math.inf
-    substitute(root, n, amplitude)
+    _substitute(root, n, amplitude)
     chi2 = 0.0
     # The residual, and not a difference of sums: it keeps its digits when the fit is good.
     for i in range(n):
@@ -160,7 +172,7 @@ def _project(
 
 
 @compiled
-def search(
+def _search(
     t_s: Array,
     exposure_s: Array,
     z: Array,
@@ -203,12 +215,12 @@ def search(
                 damped[i, i] = 1e12 * largest
                 step[i] = 0.0
             damped[i, i] += damping * damped[i, i] + 1e-12 * largest
-        if not cholesky(damped, n):
+        if not _cholesky(damped, n):
             damping *= 10
             if damping > 1e10:
                 return chi2, False
             continue
-        substitute(damped, n, step)
+        _substitute(damped, n, step)
         longest = 0.0
         for i in range(n):
             longest = max(longest, abs(step[i]))
@@ -253,7 +265,7 @@ def search(
 
 
 @compiled
-def start(
+def _start(
     projection: Array,
     index: NDArray[np.int64],
     inverse: Array,
@@ -299,7 +311,7 @@ def start(
 
 
 @compiled
-def sound(log_kr: Array, amplitude: Array, n: int) -> bool:
+def _sound(log_kr: Array, amplitude: Array, n: int) -> bool:
     """Whether every state has light and a rate of its own."""
     for i in range(n):
         if not amplitude[i] > 0.0:
@@ -308,3 +320,223 @@ def sound(log_kr: Array, amplitude: Array, n: int) -> bool:
             if abs(log_kr[i] - log_kr[j]) < _SAME_RATE:
                 return False
     return True
+
+
+@compiled
+def fit(
+    t_s: Array,
+    exposure_s: Array,
+    floor: Array,
+    gain: Array,
+    repeatability: float,
+    typical: Array,
+    reference: int,
+    n_states: int,
+    limits: Array,
+    rounds: int,
+    log_grid: Array,
+    columns: Array,
+    grid_weight: Array,
+    index: tuple[NDArray[np.int64], ...],
+    inverse: tuple[Array, ...],
+    values: Pixels,
+    kr: Pixels,
+    amplitude: Pixels,
+    kr_error: Pixels,
+    amplitude_error: Pixels,
+    colour: Pixels,
+    chi2_per_dof: Pixels,
+    flags: NDArray[np.uint8],
+) -> None:
+    """Fit the pixels of `values`, and write what `pixel_decay.PixelFits` holds."""
+    n_pixels, n_frames, n_channels = values.shape
+    y, variance = np.empty((n_frames, n_channels)), np.empty((n_frames, n_channels))
+    z, weight, m = np.empty(n_frames), np.empty(n_frames), np.empty(n_frames)
+    C = np.empty(n_channels)
+    work, state, trial = np.zeros((12, n_frames)), np.zeros((14, 4)), np.zeros((14, 4))
+    projection, log_kr = np.empty(log_grid.size), np.zeros(4)
+    for p in range(n_pixels):
+        for k in range(n_frames):
+            for c in range(n_channels):
+                y[k, c] = values[p, k, c]
+                variance[k, c] = floor[k, c] + gain[k, c] * max(typical[k, c], 0.0)
+                m[k] = typical[k, reference]
+                if math.isnan(y[k, c]):
+                    flags[p] |= CLIPPED
+        n, chi2, converged, n_used = n_states, 0.0, False, 0
+        if not _recolour(y, variance, m, reference, C, state[0], 0):
+            flags[p] |= DARK
+            continue
+        for turn in range(rounds):
+            n_used, seen = _combine(y, floor, gain, repeatability, C, m, variance, z, weight)
+            if n_used < 2 * n_states + 1 or (turn == 0 and not seen > _VISIBLE):
+                n = 0
+                break
+            found = False
+            if turn == 0:
+                for i in range(log_grid.size):
+                    projection[i] = 0.0
+                    for k in range(n_frames):
+                        projection[i] += columns[i, k] * grid_weight[k] * z[k]
+            else:
+                chi2, converged = _search(t_s, exposure_s, z, weight, log_kr, n, limits, state, trial, work)
+                found = _sound(log_kr, state[0], n)
+            while n > 0 and not found:
+                for rank in range(_STARTS):
+                    if not _start(projection, index[n - 1], inverse[n - 1], n, rank, log_grid, log_kr):
+                        break
+                    chi2, converged = _search(
+                        t_s, exposure_s, z, weight, log_kr, n, limits, state, trial, work
+                    )
+                    found = _sound(log_kr, state[0], n)
+                    if found:
+                        break
+                if not found:
+                    n -= 1
+            if n == 0:
+                break
+            for k in range(n_frames):
+                m[k] = 0.0
+            for i in range(n):
+                _column(t_s, exposure_s, log_kr[i], work[0], work[1])
+                for k in range(n_frames):
+                    m[k] += state[0, i] * work[0, k]
+            if not _recolour(y, variance, m, reference, C, state[0], n):
+                n = 0
+                break
+        if n == 0:
+            flags[p] |= DARK
+            continue
+        if n < n_states:
+            flags[p] |= FEWER
+        if not converged:
+            flags[p] |= UNCONVERGED
+        dof = n_used - 2 * n
+        chi2_per_dof[p] = chi2 / dof
+        spread = 2 / (9 * dof)  # Wilson and Hilferty 1931
+        widen = 1.0
+        if chi2 > dof * (1 - spread + _CHANCE * math.sqrt(spread)) ** 3:
+            flags[p] |= MISFIT
+            widen = math.sqrt(chi2 / dof)
+        of_scale = _scale_variance(y, variance, m, C, reference)
+        _errors(state, n, of_scale, work)
+        for c in range(n_channels):
+            colour[p, c] = C[c]
+        for i in range(n):
+            place = 0
+            for j in range(n):
+                if log_kr[j] > log_kr[i]:
+                    place += 1
+            rate, error = math.exp(log_kr[i]), widen * work[0, i]
+            kr[p, place], amplitude[p, place] = rate, state[0, i]
+            kr_error[p, place], amplitude_error[p, place] = rate * error, widen * work[1, i]
+            if not error < 1.0 or log_kr[i] <= limits[0] or log_kr[i] >= limits[1]:
+                flags[p] |= UNDETERMINED
+
+
+@compiled
+def _combine(
+    y: Array,
+    floor: Array,
+    gain: Array,
+    repeatability: float,
+    C: Array,
+    m: Array,
+    variance: Array,
+    z: Array,
+    weight: Array,
+) -> tuple[int, float]:
+    """Write σ² about the model C m, the common series z and its weights; return used frames and light over noise."""
+    used, with_model, of_model = 0, 0.0, 0.0
+    for k in range(m.size):
+        information, total = 0.0, 0.0
+        for c in range(C.size):
+            variance[k, c] = floor[k, c] + gain[k, c] * max(C[c] * m[k], 0.0)
+            if not math.isnan(y[k, c]):
+                information += C[c] * C[c] / variance[k, c]
+                total += C[c] * y[k, c] / variance[k, c]
+        if information > 0.0:
+            used += 1
+            z[k] = total / information
+            weight[k] = 1 / (1 / information + (repeatability * m[k]) ** 2)
+        else:
+            z[k], weight[k] = m[k], 0.0
+        with_model += weight[k] * z[k] * m[k]
+        of_model += weight[k] * m[k] * m[k]
+    return used, with_model / math.sqrt(of_model) if of_model > 0.0 else 0.0
+
+
+@compiled
+def _recolour(
+    y: Array, variance: Array, m: Array, reference: int, C: Array, amplitude: Array, n: int
+) -> bool:
+    """Write the colour of least squares for the model m, and bring m and its amplitudes to C = 1 in the reference."""
+    for c in range(C.size):
+        above, below = 0.0, 0.0
+        for k in range(m.size):
+            if not math.isnan(y[k, c]):
+                above += y[k, c] * m[k] / variance[k, c]
+                below += m[k] * m[k] / variance[k, c]
+        C[c] = above / below if below > 0.0 else 0.0
+    scale = C[reference]
+    if not scale > 0.0:
+        return False
+    for c in range(C.size):
+        C[c] /= scale
+    for k in range(m.size):
+        m[k] *= scale
+    for i in range(n):
+        amplitude[i] *= scale
+    return True
+
+
+@compiled
+def _scale_variance(y: Array, variance: Array, m: Array, C: Array, reference: int) -> float:
+    """Return the relative variance that amplitudes have beyond that of the common series.
+
+    All channels tell the shape, but with a free colour only the reference tells the height: 1/I_ref - 1/I_all.
+    """
+    own, every = 0.0, 0.0
+    for k in range(m.size):
+        for c in range(C.size):
+            if not math.isnan(y[k, c]):
+                information = (C[c] * m[k]) ** 2 / variance[k, c]
+                every += information
+                if c == reference:
+                    own += information
+    return 1 / own - 1 / every if own > 0.0 else math.inf
+
+
+@compiled
+def _errors(state: Array, n: int, of_scale: float, work: Array) -> None:
+    """Write standard errors of log kr to work[0] and of A to work[1], from what `_search` left.
+
+    With G = gᵀ W g and X = G⁻¹ gᵀ W d A, the covariance of log kr is the inverse of the projected normal matrix N, and
+    that of A is G⁻¹ + X N⁻¹ Xᵀ.
+    """
+    G, X = np.zeros((4, 4)), np.zeros((4, 4))
+    N, inverse = np.zeros((4, 4)), np.zeros((4, 4))
+    unit = np.zeros(4)
+    N[:] = state[2:6]
+    ok = _cholesky(N, n)
+    for i in range(n):
+        unit[:] = 0.0
+        unit[i] = 1.0
+        _substitute(state[6:10], n, unit)
+        G[:, i] = unit
+        unit[:] = 0.0
+        unit[i] = 1.0
+        if ok:
+            _substitute(N, n, unit)
+        inverse[:, i] = unit
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                X[i, j] += G[i, k] * state[10 + k, j]
+    for i in range(n):
+        total = G[i, i] + of_scale * state[0, i] ** 2
+        for j in range(n):
+            for k in range(n):
+                total += X[i, j] * inverse[j, k] * X[i, k]
+        work[0, i] = math.sqrt(max(inverse[i, i], 0.0)) if ok else math.inf
+        work[1, i] = math.sqrt(max(total, 0.0)) if ok else math.inf

@@ -58,7 +58,8 @@ class PixelMaps:
     @property
     def fitted(self) -> NDArray[np.bool_]:
         """(h w) the pixels that have numbers."""
-        return (self.fits.flags & (Flag.MASKED | Flag.DARK)) == 0
+        fitted: NDArray[np.bool_] = (self.fits.flags & (Flag.MASKED | Flag.DARK)) == 0
+        return fitted
 
     def counts(self) -> dict[str, int]:
         """Return how many pixels there are, are fitted, and have each flag."""
