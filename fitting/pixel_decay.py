@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.fitting import pixel_kernels
-from phoslab.fitting.decay import exposed_decay
+from phoslab.fitting.decay import MOST_STATES, exposed_decay
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
@@ -68,14 +68,16 @@ class Grid:
         log_kr: (n_grid,).
         columns: (n_grid, n_frames) g.
         weight: (n_frames,) for which the matrices hold.
-        index, inverse: by number of states: (n_sets, n) and (n_sets, n, n).
+        index, inverse: (n_sets, 4) which rates a set has, and (n_sets, 4, 4); of those of n states the first n count.
+        first: (n_states + 1,) where the sets of 1, 2 ... states begin, and the end.
     """
 
     log_kr: Array
     columns: Array
     weight: Array
-    index: tuple[NDArray[np.int64], ...]
-    inverse: tuple[Array, ...]
+    index: NDArray[np.int64]
+    inverse: Array
+    first: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -156,18 +158,29 @@ class PixelProblem:
         variance = self.noise.floor + self.noise.gain * np.maximum(self.typical, 0)
         weight = 1 / (1 / (colour**2 / variance).sum(axis=1) + (self.noise.repeatability * m) ** 2)
         matrix = g.T @ (weight[:, None] * g)
-        index, inverse = [], []
+        index, inverse, first = [], [], [0]
         for n in range(1, self.n_states + 1):
             chosen = list(combinations(range(n_grid), n))
             if n == near.size:
                 chosen.append(tuple(range(n_grid, rates.size)))
-            sets = np.array(chosen, np.int64)
-            A = matrix[sets[:, :, None], sets[:, None, :]]
+            sets = np.zeros((len(chosen), MOST_STATES), np.int64)
+            sets[:, :n] = chosen
+            A = matrix[sets[:, :n, None], sets[:, None, :n]]
             # Only the ranking of sets matters here, not digits.
             A = A + 1e-10 * np.eye(n) * np.trace(A, axis1=1, axis2=2)[:, None, None]
+            inverses = np.zeros((len(chosen), MOST_STATES, MOST_STATES))
+            inverses[:, :n, :n] = np.linalg.inv(A)
             index.append(sets)
-            inverse.append(np.linalg.inv(A))
-        return Grid(np.log(rates), np.ascontiguousarray(g.T), weight, tuple(index), tuple(inverse))
+            inverse.append(inverses)
+            first.append(first[-1] + len(chosen))
+        return Grid(
+            log_kr=np.log(rates),
+            columns=np.ascontiguousarray(g.T),
+            weight=weight,
+            index=np.concatenate(index),
+            inverse=np.concatenate(inverse),
+            first=np.array(first, np.int64),
+        )
 
 
 def fit_pixels(problem: PixelProblem, y: Pixels, *, threads: int | None = None) -> PixelFits:
@@ -182,15 +195,22 @@ def fit_pixels(problem: PixelProblem, y: Pixels, *, threads: int | None = None) 
     grid, noise = problem.grid, problem.noise
     varies = bool((noise.gain > 0).any() or noise.repeatability > 0)
 
+    # Compiled code is made for one layout of arrays, and made again for another.
+    t_s, exposure_s, floor, gain, typical = (
+        np.ascontiguousarray(values, float)
+        for values in (problem.t_s, problem.exposure_s, noise.floor, noise.gain, problem.typical)
+    )
+    y = np.ascontiguousarray(y, np.float32)
+
     def task(first: int) -> None:
         some = slice(first, min(first + _PIXELS_A_TASK, n_pixels))
         pixel_kernels.fit(
-            problem.t_s,
-            problem.exposure_s,
-            noise.floor,
-            noise.gain,
-            noise.repeatability,
-            problem.typical,
+            t_s,
+            exposure_s,
+            floor,
+            gain,
+            float(noise.repeatability),
+            typical,
             problem.reference,
             problem.n_states,
             np.log(np.array(problem.limits_per_s)) + np.log([0.01, 10.0]),
@@ -200,6 +220,7 @@ def fit_pixels(problem: PixelProblem, y: Pixels, *, threads: int | None = None) 
             grid.weight,
             grid.index,
             grid.inverse,
+            grid.first,
             y[some],
             *(values[some] for values in vars(fits).values()),
         )

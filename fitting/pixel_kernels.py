@@ -2,10 +2,10 @@
 
     z_k ≈ Σ_i A_i g_i(t_k),    g_i = exp(-kr_i t) averaged over the exposure
 
-`fit` and what follows it make the series and its weights (see `pixel_decay`); what comes before searches. Amplitudes are
-eliminated at each step (variable projection, with the Jacobian of Kaufman 1975); log rates are searched by Levenberg's
-and Marquardt's steps on normal equations of at most 4 x 4, whose columns g_i and ∂g_i/∂log kr_i are exact. Starts come
-from a grid of rates and need no guess.
+`fit` and what follows it make the series and its weights (see `pixel_decay`); what comes before searches. Amplitudes
+are eliminated at each step (variable projection, with the Jacobian of Kaufman 1975); log rates are searched by
+Levenberg's and Marquardt's steps on normal equations of at most 4 x 4, whose columns g_i and ∂g_i/∂log kr_i are exact.
+Starts come from a grid of rates and need no guess.
 
 All of it lies in one file, because numba looks only there whether what it has kept is still of today.
 """
@@ -278,7 +278,7 @@ def _start(
 
     Args:
         projection: (n_grid,) gᵀ W z at the grid's rates.
-        index, inverse: (n_sets, n) which rates a set has, and (n_sets, n, n) the inverse of its matrix gᵀ W g.
+        index, inverse: (n_sets, 4) which rates a set has, and (n_sets, 4, 4) the inverse of its matrix gᵀ W g.
     """
     taken = -1
     for turn in range(rank + 1):
@@ -337,8 +337,9 @@ def fit(
     log_grid: Array,
     columns: Array,
     grid_weight: Array,
-    index: tuple[NDArray[np.int64], ...],
-    inverse: tuple[Array, ...],
+    index: NDArray[np.int64],
+    inverse: Array,
+    first: NDArray[np.int64],
     values: Pixels,
     kr: Pixels,
     amplitude: Pixels,
@@ -372,27 +373,25 @@ def fit(
             if n_used < 2 * n_states + 1 or (turn == 0 and not seen > _VISIBLE):
                 n = 0
                 break
-            found = False
+            # The first turn tries starts from the grid; later ones go on from what was found (rank -1).
+            found, rank = False, -1
             if turn == 0:
+                rank = 0
                 for i in range(log_grid.size):
                     projection[i] = 0.0
                     for k in range(n_frames):
                         projection[i] += columns[i, k] * grid_weight[k] * z[k]
-            else:
+            while n > 0 and not found:
+                some = slice(first[n - 1], first[n])
+                if rank == _STARTS or (
+                    rank >= 0
+                    and not _start(projection, index[some], inverse[some], n, rank, log_grid, log_kr)
+                ):
+                    n, rank = n - 1, 0
+                    continue
                 chi2, converged = _search(t_s, exposure_s, z, weight, log_kr, n, limits, state, trial, work)
                 found = _sound(log_kr, state[0], n)
-            while n > 0 and not found:
-                for rank in range(_STARTS):
-                    if not _start(projection, index[n - 1], inverse[n - 1], n, rank, log_grid, log_kr):
-                        break
-                    chi2, converged = _search(
-                        t_s, exposure_s, z, weight, log_kr, n, limits, state, trial, work
-                    )
-                    found = _sound(log_kr, state[0], n)
-                    if found:
-                        break
-                if not found:
-                    n -= 1
+                rank += 1
             if n == 0:
                 break
             for k in range(n_frames):
