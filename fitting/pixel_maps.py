@@ -20,7 +20,7 @@ from phoslab.fitting.decay import rate_limits
 from phoslab.fitting.pixel_decay import Flag, PixelFits, PixelNoise, PixelProblem, fit_pixels
 from phoslab.fitting.pixel_frames import PixelFrames, stored
 from phoslab.fitting.result import FitResult
-from phoslab.maps import write_map
+from phoslab.maps import channel_names, write_map
 from phoslab.material import Material
 from phoslab.session import Frame, Session
 
@@ -264,15 +264,22 @@ def write_maps(maps: PixelMaps, folder: Path) -> Material:
     (channels `flags`, `chi2_per_dof`, `states`) are for people and programs.
     """
     fits, whole, (h, w) = maps.fits, maps.whole.fit, maps.shape
-    material, n_states = maps.whole.material, whole.n_states
+    material = maps.whole.material
     has = fits.amplitude > 0
     kr = np.where(has, fits.kr_per_s, whole.kr_per_s.astype(np.float32))
     write_map(folder / "kr.exr", kr.reshape(h, w, -1))
     # The sample's Λ_ij, by this pixel's A_i / kr_i over the sample's.
     factor = np.where(has, fits.amplitude / kr, 0.0) * (whole.kr_per_s / whole.strength).astype(np.float32)
-    emission = factor[:, :, None] * material.emission.astype(np.float32)
-    write_map(folder / "emission.exr", emission.reshape(h, w, n_states, -1))
-    del emission
+    Lambda = material.emission.astype(np.float32)
+    # Channel by channel, since this is by far the largest map.
+    channels = {
+        name: (factor[:, i] * value).reshape(h, w)
+        for name, (i, value) in zip(
+            channel_names(Lambda.shape), ((i, v) for i, row in enumerate(Lambda) for v in row), strict=True
+        )
+    }
+    write_channels(folder / "emission.exr", channels, {})
+    del channels
     for name, values in (
         ("amplitude", fits.amplitude),
         ("kr_error", fits.kr_error),
