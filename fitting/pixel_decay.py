@@ -27,7 +27,8 @@ from phoslab.fitting.decay import MOST_STATES, exposed_decay
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
-# Rounds of weights and colour where noise depends on the signal: the third moves rates by under 1e-3 of their error.
+# Rounds of weights and colour where noise depends on the signal. The second moves rates by up to a third of their error,
+# the third by less than a hundredth.
 _ROUNDS = 3
 _PIXELS_A_TASK = 4096
 
@@ -40,9 +41,7 @@ class Flag(IntFlag):
     DARK = pixel_kernels.DARK  # too dark, or with too few values, to be fitted
     UNCONVERGED = pixel_kernels.UNCONVERGED  # the search did not end
     FEWER = pixel_kernels.FEWER  # carries fewer states than the sample; the others have no light
-    UNDETERMINED = (
-        pixel_kernels.UNDETERMINED
-    )  # a rate is at the end of what times can tell, or as large as its error
+    UNDETERMINED = pixel_kernels.UNDETERMINED  # a rate is beyond what times can tell, or below its error
     MISFIT = pixel_kernels.MISFIT  # the model misses the data by more than noise; errors are widened
 
 
