@@ -27,8 +27,8 @@ from phoslab.fitting.decay import MOST_STATES, exposed_decay
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
-# Rounds of weights and colour where noise depends on the signal. The second moves rates by up to a third of their error,
-# the third by less than a hundredth.
+# Rounds of weights and colour where noise depends on the signal. The second moves rates by up to a third of their
+# error, the third by less than a hundredth.
 _ROUNDS = 3
 _PIXELS_A_TASK = 4096
 
