@@ -46,6 +46,8 @@ def run(args: argparse.Namespace) -> int:
     from phoslab.errors import PhoslabError
     from phoslab.files import check_writable, umask
 
+    if not args.per_pixel:
+        raise PhoslabError("is for maps", field="--bin", remedy="Add --per-pixel, or leave it out.")
     if len(args.session) != 1:
         raise PhoslabError(
             f"names {len(args.session)} sessions",
@@ -125,11 +127,16 @@ def _fit(args: argparse.Namespace, scratch: Path) -> PixelMaps:
             name=args.name,
             progress=progress,
         )
-    with (
-        progress_bar("decoding frames", quiet=args.json) as decoded,
-        progress_bar("fitting rows of pixels", quiet=args.json) as fitted,
-    ):
-        return fit_maps(session, whole, scratch, side=args.bin, decoded=decoded, fitted=fitted)
+    # One bar, in percent: frames are the first half, rows of pixels the second.
+    with progress_bar("its pixels", quiet=args.json) as percent:
+        return fit_maps(
+            session,
+            whole,
+            scratch,
+            side=args.bin,
+            decoded=lambda done, total: percent(50 * done // total, 100),
+            fitted=lambda done, total: percent(50 + 50 * done // total, 100),
+        )
 
 
 def _summary(maps: PixelMaps, folder: Path) -> dict[str, Any]:

@@ -115,3 +115,10 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing_behind(arguments, said, 
     assert said in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == before
     assert not (session / "maps").exists()
+
+
+def test_pixels_are_averaged_for_maps_only(session, tmp_path, capsys):
+    out = tmp_path / "green.json"
+    assert main(["fit", str(session), "--preset", "green", "--bin", "2", "-o", str(out)]) == 1
+    assert "--bin is for maps" in capsys.readouterr().err
+    assert not out.exists()
