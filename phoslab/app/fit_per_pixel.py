@@ -58,7 +58,6 @@ def run(args: argparse.Namespace) -> int:
         raise PhoslabError(
             "is a table, which has no pixels",
             file=args.session[0],
-            field="--per-pixel",
             remedy="Name the folder of a decay session.",
         )
     for option, name, what in (
