@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.linalg import bandwidth, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 
@@ -134,7 +135,7 @@ def solve(normal: Normal, penalty: Array, span: tuple[float, float] = (1e-7, 1e5
     M = normal.matrix + best * penalty
     M = M + _jitter(M)
     x, _ = non_negative(M, normal.right, free)
-    inverse = _solver(M)(np.eye(x.size))
+    inverse = _solver(M)(np.ones(x.size, dtype=bool))(np.eye(x.size))
     degrees = _degrees(normal, M, x > 0)
     misfit = normal.misfit(x)
     # Noise is not made smaller than σ says: a lucky fit is no better camera.
@@ -158,11 +159,10 @@ def non_negative(
     fewest, patience = n + 1, 3
     x = np.zeros(n)
     tolerance = 1e-12 * max(float(np.abs(right).max()), 1e-300)
+    solver, product = _solver(M), csr_array(M)
     for _ in range(_ROUNDS):
-        x = np.zeros(n)
-        if free.any():
-            x[free] = _solver(M[np.ix_(free, free)])(right[free])
-        gradient = M @ x - right
+        x = solver(free)(right) if free.any() else np.zeros(n)
+        gradient = product @ x - right
         wrong = (free & (x < 0)) | (~free & (gradient < -tolerance))
         if not wrong.any():
             break
@@ -193,28 +193,51 @@ def _degrees(normal: Normal, M: Array, free: NDArray[np.bool_]) -> float:
     """Trace of the matrix that maps y to A x, with what is held at 0 left out."""
     if not free.any():
         return 0.0
-    both = np.ix_(free, free)
-    solve_free = _solver(M[both])
+    solve_free = _solver(M)(free)
     if free.sum() <= _EXACT:
-        return float(np.trace(solve_free(normal.matrix[both])))
+        return float(np.trace(solve_free(normal.matrix)[np.ix_(free, free)]))
     # The trace of a large matrix from products with random signs (Girard 1989), the same at every strength.
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (free.size, _SIGNS))[free]
-    return float(np.sum(solve_free(signs) * (normal.matrix[both] @ signs)) / _SIGNS)
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (free.size, _SIGNS)) * free[:, None]
+    return float(np.sum(solve_free(signs) * (normal.matrix @ signs)) / _SIGNS)
 
 
-def _solver(M: Array) -> Callable[[Array], Array]:
-    """Return what solves M x = b, M positive definite: by its band, if it has a narrow one."""
+def _solver(M: Array) -> Callable[[NDArray[np.bool_]], Callable[[Array], Array]]:
+    """Return what takes which unknowns are free, and returns what solves M x = b for these, with the others at 0.
+
+    M is positive definite. What is held at 0 has its rows and columns replaced by those of the unit matrix: so a
+    narrow band stays one, and nothing is sorted out of it.
+    """
     n = M.shape[0]
-    i, j = np.nonzero(M)
-    width = int((j - i).max(initial=0))
+    width = int(bandwidth(M)[0])
     if width > n // 4:
-        factor = cho_factor(M)
-        return lambda b: np.asarray(cho_solve(factor, b))
+
+        def dense(free: NDArray[np.bool_]) -> Callable[[Array], Array]:
+            both = np.ix_(free, free)
+            factor = cho_factor(M[both])
+
+            def solve(b: Array) -> Array:
+                x = np.zeros_like(b)
+                x[free] = cho_solve(factor, b[free])
+                return x
+
+            return solve
+
+        return dense
+
     band = np.zeros((width + 1, n))
     for k in range(width + 1):
         band[k, : n - k] = np.diagonal(M, k)
-    lower = cholesky_banded(band, lower=True)
-    return lambda b: np.asarray(cho_solve_banded((lower, True), b))
+
+    def banded(free: NDArray[np.bool_]) -> Callable[[Array], Array]:
+        both = np.zeros(band.shape, dtype=bool)
+        for k in range(width + 1):
+            both[k, : n - k] = free[: n - k] & free[k:]
+        held = np.where(both, band, 0.0)
+        held[0, ~free] = 1.0
+        lower = cholesky_banded(held, lower=True)
+        return lambda b: np.asarray(cho_solve_banded((lower, True), (b.T * free).T))
+
+    return banded
 
 
 def _jitter(M: Array) -> Array:

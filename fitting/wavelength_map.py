@@ -292,8 +292,12 @@ class _Model:
         parts, intensity = self.parts(p)
         missed = np.concatenate([part[np.isfinite(part)].ravel() for part in parts])
         scale = max(1.0, float(np.mean(missed**2)))
-        # One misfit is seen by many neighbouring nodes: they are not independent witnesses.
-        covariance = np.linalg.pinv(jacobian.T @ jacobian) * scale * self._neighbours(p)
+        # One misfit is seen by many neighbouring nodes, and what the sensitivities miss by all lights: they are not
+        # independent witnesses. All lights together count as one.
+        independent = jacobian.copy()
+        if self.lights:
+            independent[: self.light.size] /= np.sqrt(len(self.lights))
+        covariance = np.linalg.pinv(independent.T @ independent) * scale * self._neighbours(p)
         d = _DEGREE + 1
         return WavelengthMap(
             ends_px=self.ends,

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from phoslab.session import Session
+from phoslab.app import fit_check, fit_per_pixel
 
 HELP = "fit a material to a recorded session, or rates to a decay table"
 EXAMPLE = (
     "phoslab fit sample_data/sessions/green-decay --preset green -o green.json --report green.html\n"
+    "  phoslab fit sample_data/sessions/green-decay --preset green --per-pixel -o maps\n"
     "  phoslab fit decay.csv --states auto --json\n"
     "  phoslab fit CHECK-SESSION --lvf lvf.json"
 )
@@ -64,6 +63,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="S,S,...",
         help="continue the fit to these times after lamp-off, with the band that the data allow",
     )
+    fit_per_pixel.configure(parser)
     table = parser.add_argument_group("tables")
     table.add_argument(
         "--offset",
@@ -120,51 +120,13 @@ def _check_outputs(outputs: list[Path], sessions: list[Path]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.per_pixel or args.bin != 1:
+        return fit_per_pixel.run(args)
     if any(path.is_file() for path in args.session):
         return _fit_table(args)
-    if len(args.session) == 1:
-        from phoslab.session import Session
-
-        session = Session.open(args.session[0])
-        if session.header.plan == "check":
-            return _check_session(args, session)
+    if fit_check.is_check(args.session):
+        return fit_check.run(args)
     return _fit_session(args)
-
-
-def _check_session(args: argparse.Namespace, session: Session) -> int:
-    """Judge what the model takes for granted."""
-    import json
-
-    from phoslab.app.progress import progress_bar
-    from phoslab.errors import PhoslabError, printable
-    from phoslab.files import write_text
-    from phoslab.fitting.assumptions import check_assumptions
-    from phoslab.fitting.lvf_file import load
-    from phoslab.fitting.verdict import report
-
-    if args.report is not None or args.preset is not None:
-        raise PhoslabError(
-            "is for sessions that give a material",
-            file=args.session[0],
-            field="--report or --preset",
-            remedy="A check session is judged without; its report is printed.",
-        )
-    _check_outputs([p for p in (args.output,) if p is not None], args.session)
-    calibration = load(args.lvf)[0] if args.lvf is not None else None
-    with progress_bar("decoding frames", quiet=args.json) as progress:
-        verdicts = check_assumptions(session, calibration, progress)
-    content = json.dumps(
-        {"session": str(args.session[0]), "assumptions": [v.to_dict() for v in verdicts]}, allow_nan=False
-    )
-    if args.output:
-        write_text(args.output, content + "\n")
-    print(
-        content if args.json else report(verdicts, printable(session.header.sample_name)),
-        end="\n" if args.json else "",
-    )
-    if args.output and not args.json:
-        print(f"Wrote {args.output}")
-    return 0
 
 
 def _needs(args: argparse.Namespace, option: str, what: str) -> None:

@@ -157,5 +157,5 @@ def test_a_session_of_another_plan_is_no_check(green_decay):
 
 def test_a_material_is_not_made_of_a_check_session(short_check, tmp_path, capsys):
     assert cli.main(["fit", str(short_check), "--report", str(tmp_path / "r.html")]) == 1
-    assert "sessions that give a material" in capsys.readouterr().err
+    assert "gives verdicts and no material" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
