@@ -3,6 +3,7 @@ a user runs them, with everything going wrong that can."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -332,6 +333,49 @@ def test_a_disk_that_fills_up_stops_the_plan_and_a_resume_completes_it(
     assert cli.main(["resume", str(tmp_path / "s")]) == 0
     assert before.items() <= frames(tmp_path / "s").items()
     fits(tmp_path / "s")
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 40 MB of its own."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=40m", "none", disk], capture_output=True, text=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"a file system can only be mounted by root ({mounted.stderr.strip()})")
+    yield disk
+    subprocess.run(["umount", "--lazy", disk], check=True)
+
+
+def test_a_file_system_that_something_else_fills_stops_the_plan_and_a_resume_completes_it(
+    small_disk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To the last byte, between the check of its space and the writing of a frame."""
+    save, ballast = Recorder.frame, small_disk / "ballast"
+
+    def filling(self: Recorder, *arguments: Any, **about: Any) -> str:
+        if about["role"] == "decay" and not ballast.exists():
+            with contextlib.suppress(OSError), ballast.open("wb", buffering=0) as full:
+                while True:
+                    full.write(bytes(4096))
+        return save(self, *arguments, **about)
+
+    monkeypatch.setattr(Recorder, "frame", filling)
+    session = small_disk / "s"
+    assert measure(session) == 1
+    told = capsys.readouterr().err
+    assert "No space left on device" in told
+    assert f"phoslab resume {session}" in told
+    before = frames(session)
+    assert before == on_disk(session)  # no half of the frame that did not fit
+    ballast.unlink()
+    monkeypatch.undo()
+    assert cli.main(["resume", str(session)]) == 0
+    assert before.items() <= frames(session).items()
+    assert frames(session) == on_disk(session)
+    fits(session)
 
 
 # ---- how it ends, and goes on
