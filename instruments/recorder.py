@@ -37,7 +37,6 @@ from phoslab.files import sha256, umask, write_text
 from phoslab.instruments.devices import Clock
 from phoslab.session import SCHEMA, Session
 
-
 BEGUN_S = 60.0
 """A session that has not got its journal in this time will not get one."""
 

@@ -12,6 +12,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,7 @@ import pytest
 
 import phoslab
 from phoslab.app import cli
-from phoslab.instruments.devices import DeviceGoneError
+from phoslab.instruments.bench import rig as bench_rig
 from phoslab.instruments.recorder import Recorder
 from phoslab.instruments.simulated import Hands, Link
 from phoslab.session import Session
@@ -263,6 +265,12 @@ def with_the_second_decay_frame(fault: str, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(Recorder, "frame", saved)
 
 
+def stop_bench(folder: Path) -> None:
+    bench = bench_rig.find(socket_of(folder).parent)
+    if bench is not None:
+        bench.stop()
+
+
 def socket_of(folder: Path) -> Path:
     """Of the bench on which a session is being recorded."""
     return Path(Session.open(folder).header.rig["camera"]["port"])
@@ -403,6 +411,7 @@ def test_the_lamp_goes_off_by_itself_when_the_program_is_killed_and_a_resume_com
     process = decay_in_a_process(tmp_path / "s")
     wait_for(tmp_path / "s", lambda journal: lamp_is_on(journal) and bool(frames(tmp_path / "s")))
     bench = Link(socket_of(tmp_path / "s"))
+    pid = json.loads((bench.path.parent / "endpoints.json").read_text())["pid"]
     assert bench.ask("state")["current"] is True
     process.kill()
     killed = time.monotonic()
@@ -420,7 +429,17 @@ def test_the_lamp_goes_off_by_itself_when_the_program_is_killed_and_a_resume_com
     assert frames(tmp_path / "s") == on_disk(tmp_path / "s")
     parts = [e["arguments"] for e in lines(tmp_path / "s") if e["event"] == "command" and e["name"] == "part"]
     assert [p["attempt"] for p in parts] == [1, 2, 1]
+    (word,) = (e["text"] for e in lines(tmp_path / "s") if e["event"] == "note" and "goes on on" in e["text"])
+    assert word == f"goes on on the same simulated bench (process {pid}), which has outlived its host"
+    # One clock from the first line to the last: no other bench's, and no guess at how long it was away.
+    assert max(b - a for a, b in offsets(session)) < 0.05
     fits(tmp_path / "s")
+
+
+def offsets(session: Session) -> list[tuple[float, float]]:
+    """From line to line, by how much the wall clock is ahead of the session's."""
+    ahead = [datetime.fromisoformat(e.wall).timestamp() - e.mono_s for e in session.events]
+    return list(pairwise(ahead))
 
 
 def test_a_second_process_is_refused_and_disturbs_nothing(tmp_path: Path) -> None:
@@ -515,9 +534,11 @@ def test_an_excitation_series_goes_on_at_the_next_time_after_a_rest_in_the_dark(
     wait_for(folder, third_is_lit)
     process.kill()
     process.communicate(timeout=60)
+    stop_bench(folder)
     assert cli.main(["resume", str(folder)]) == 0
     session = Session.open(folder)
     (resumed,) = (e for e in session.events if e.event == "resume")
+    assert any("has gone meanwhile" in str(e.fields.get("text")) for e in session.events)
     begun = [
         (e.fields["arguments"]["part"], e.fields["arguments"]["attempt"])
         for e in session.events
@@ -533,10 +554,5 @@ def no_bench_is_left(tmp_path: Path) -> Iterator[None]:
     """Benches of killed hosts end by themselves; stop them here rather than let them linger."""
     yield
     for file in tmp_path.rglob("session.toml"):
-        try:
-            socket = socket_of(file.parent)
-            Link(socket).close()
-            told = json.loads((socket.parent / "endpoints.json").read_text())
-            os.kill(int(told["pid"]), signal.SIGTERM)
-        except (DeviceGoneError, KeyError, OSError, phoslab.errors.PhoslabError):
-            continue
+        with contextlib.suppress(KeyError, OSError, phoslab.errors.PhoslabError):
+            stop_bench(file.parent)

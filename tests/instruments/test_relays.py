@@ -92,7 +92,7 @@ def test_a_board_that_does_not_answer_is_a_time_out_with_device_command_and_time
 ) -> None:
     lamp.stage()
     board.do("dumb on")
-    with pytest.raises(DeviceTimeoutError, match="lamp did not do 'say how its relay stands' within 0.5 s"):
+    with pytest.raises(DeviceTimeoutError, match=r"lamp did not do 'say how its relay stands' within 0\.5 s"):
         lamp.read()
     board.do("dumb off")
     lamp.read()  # one lost answer is no reason to give the lamp up

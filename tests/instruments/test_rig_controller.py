@@ -249,7 +249,7 @@ def test_a_door_of_which_nothing_is_heard_is_a_time_out_of_the_drivers_own(
     monkeypatch.setattr(rig_parts, "DOOR_S", 0.6)
     door.stage()
     board.do("door stuck")
-    with pytest.raises(DeviceTimeoutError, match="door did not do 'DOOR OPEN' within 0.6 s"):
+    with pytest.raises(DeviceTimeoutError, match=r"door did not do 'DOOR OPEN' within 0\.6 s"):
         door.set("open").wait(10)
 
 
