@@ -219,6 +219,17 @@ class Device:
         """Make a buffer of `data`; one of no bytes is given 16, since OpenGL refuses to bind nothing."""
         return self._keep(self.ctx.buffer(data.tobytes() or bytes(16)))
 
+    def reserve(self, n_bytes: int, *, outlive: bool = False) -> moderngl.Buffer:
+        """Make a buffer of any content, for a shader to fill.
+
+        Args:
+            n_bytes: its size; at least 16 are made.
+            outlive: whether it is released with the scope around the one that is open.
+        """
+        buffer = self.ctx.buffer(reserve=max(16, n_bytes))
+        self._scopes[-2 if outlive else -1].made.append(buffer)
+        return buffer
+
     def framebuffer(
         self,
         colours: Sequence[moderngl.Texture],
