@@ -26,7 +26,7 @@ from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import Surroundings, TransportParameters
 from phoslab.render.optics import layer_count
 from phoslab.render.passes import Picture, side_by_side
-from phoslab.render.shells import SEED, ShellLevels, Splats
+from phoslab.render.shells import SEED, ShellLevels, Splats, choose_levels
 from phoslab.render.surfel_glow import SurfelGlow
 from phoslab.render.surfels import Extent, View, surfelize
 
@@ -61,14 +61,8 @@ class DeepScreenSpace:
         self.extent = Extent.of(surroundings.drawables)
         self._view = View.of(surroundings.scene.camera, self.extent, parameters.surfel)
         self._pixels = GlowPixels(device, surroundings, self.extent)
-        self.shells = ShellLevels(
-            device, surroundings, self._pixels, self.extent, self._view, parameters.levels
-        )
-        self._targets = [device.texture(self.shells.size, 4) for _ in range(self._layers)]
-        self._framebuffer = device.framebuffer(self._targets)
         self._program = device.program("shell_splat", defines={"LAYERS": self._layers})
         self._quads = device.vertex_array(self._program)
-        self._level_views: list[Picture] = []
 
     def prepare(self) -> None:
         """Make the surfels, and bound what is seen."""
@@ -77,6 +71,13 @@ class DeepScreenSpace:
         self.surfel_glow = SurfelGlow(
             self._device, self.surfels, self._around.glows, self._around.atlases, self._around.scene.transport.n
         )
+        p = self._parameters
+        levels = choose_levels(p.levels, self.surfels, p.epsilon, self._around.size)
+        self.shells = ShellLevels(
+            self._device, self._around, self._pixels, self.extent, levels
+        )
+        self._targets = [self._device.texture(self.shells.size, 4) for _ in range(self._layers)]
+        self._framebuffer = self._device.framebuffer(self._targets)
         self.shells.prepare()
 
     def run(self, radiance: moderngl.TextureArray) -> None:
@@ -85,7 +86,7 @@ class DeepScreenSpace:
         if self.surfel_glow.glow == 0.0:
             return
         self._pixels.clear()
-        for level in reversed(range(self._parameters.levels)):
+        for level in reversed(range(self.shells.levels)):
             with self._device.scope():
                 self.shells.shuffle(level)
                 self.splat(level, self.find_splats(level))

@@ -238,6 +238,11 @@ class Device:
         """Make a framebuffer that draws into `colours` and `depth`."""
         return self._store(lambda: self.ctx.framebuffer(tuple(colours), depth))
 
+    def empty_framebuffer(self, size: tuple[int, int]) -> moderngl.Framebuffer:
+        """Make a framebuffer that keeps nothing: for shaders that write to buffers."""
+        self.check_size(size)
+        return self._store(lambda: self.ctx.empty_framebuffer(size))
+
     def program(
         self, name: str, *, vertex: str | None = None, defines: Defines | None = None
     ) -> moderngl.Program:

@@ -42,7 +42,8 @@ class TransportParameters:
         detail: the radius over the distance that no cell exceeds, unless it is one of the smallest (tiles).
         surfel: the radius of a surfel on the screen, over half the picture's height (dss, dss-z).
         epsilon: the share of the frame's glow below which a surfel's first shell ends (dss, dss-z).
-        levels: of the hierarchical framebuffer, each of which reaches twice as far (dss, dss-z).
+        levels: of the hierarchical framebuffer, each of which reaches twice as far; 0: as many as reach across the
+            scene (dss, dss-z).
         samples: light paths a pixel (reference).
         full: follow light to the end, not for one reflection alone (reference).
     """
@@ -55,7 +56,7 @@ class TransportParameters:
     detail: float = 0.3
     surfel: float = 0.02
     epsilon: float = 0.01
-    levels: int = 6
+    levels: int = 0
     samples: int = 256
     full: bool = False
 
@@ -67,7 +68,7 @@ class TransportParameters:
         self._check("the cells' detail", self.detail, 1e-2, 1.0)
         self._check("the surfels' radius", self.surfel, 1e-3, 1.0)
         self._check("epsilon", self.epsilon, 1e-5, 0.5)
-        self._check("the number of levels", self.levels, 1, MOST_LEVELS)
+        self._check("the number of levels", self.levels, 0, MOST_LEVELS)
         if self.filter_px not in FILTER_RADII:
             raise PhoslabError(
                 f"is {self.filter_px} pixels",

@@ -18,13 +18,14 @@ import numpy as np
 
 from phoslab.render.device import Device, set_uniforms
 from phoslab.render.glow_pixels import GlowPixels
-from phoslab.render.glow_transport import Surroundings
+from phoslab.render.glow_transport import MOST_LEVELS, Surroundings
 from phoslab.render.prefix_sums import GROUP, prefix_sums, sum_buffer
-from phoslab.render.surfels import Extent, Surfels, View
+from phoslab.render.surfels import Extent, Surfels
 
 SPLAT_BYTES = 32  # of shaders/include/shells.glsl: an ivec4 and a uint, padded
 BLOCK = 4  # pixels along the side of the finest boxes
 MOST_BOUNDS = 16
+DIAMETER = 2.0  # of a scene, in the coordinates of the surfels
 SEED = 1
 
 
@@ -46,7 +47,7 @@ class ShellLevels:
 
     Attributes:
         size: (width, height) that holds the sub-buffers of every level.
-        position, normal: of the level that was shuffled last; position.w is the radius of a surfel there, or 0.
+        position, normal: of the level that was shuffled last; position.w is 0 where nothing is seen.
     """
 
     def __init__(
@@ -55,11 +56,10 @@ class ShellLevels:
         surroundings: Surroundings,
         pixels: GlowPixels,
         extent: Extent,
-        view: View,
         levels: int,
     ) -> None:
         self._device, self._around, self._pixels = device, surroundings, pixels
-        self._view, self.levels = view, levels
+        self.levels = levels
         self.picture_size = w, h = surroundings.size
         coarsest = 1 << levels - 1
         self.size = (-(-w // coarsest) * coarsest, -(-h // coarsest) * coarsest)
@@ -98,7 +98,7 @@ class ShellLevels:
         self._pixels.bind_receivers(shader)
         self.position.bind_to_image(0, read=False, write=True)
         self.normal.bind_to_image(1, read=False, write=True)
-        set_uniforms(shader, level=level, seed=SEED, **self._view.uniforms)
+        set_uniforms(shader, level=level, seed=SEED)
         self._device.dispatch(shader, self.size)
 
     def find_splats(
@@ -124,7 +124,7 @@ class ShellLevels:
                 buffer.bind_to_storage_buffer(k)
             set_uniforms(
                 shader,
-                **{**self._camera, **self._view.uniforms, **uniforms},
+                **{**self._camera, **uniforms},
                 count=n,
                 size=self.picture_size,
                 level=level,
@@ -145,6 +145,31 @@ class ShellLevels:
         self.position.use(0)
         self.normal.use(1)
         set_uniforms(program, shuffled_position=0, shuffled_normal=1, target_size=self.size)
+
+
+def first_shell(radius: float, epsilon: float) -> float:
+    """Return how far a disk as bright as the brightest reaches on level 0: its form factor, r² / (d² + r²), is epsilon."""
+    return radius * float(np.sqrt(1 / epsilon - 1))
+
+
+def radius_of(surfels: Surfels, share: float) -> float:
+    """Return the radius below which `share` of the area is."""
+    radii = np.sort(surfels.read()[:, 3].astype(np.float64))
+    area = np.cumsum(radii**2)
+    return float(radii[np.searchsorted(area, share * area[-1])])
+
+
+def choose_levels(wanted: int, surfels: Surfels, epsilon: float, size: tuple[int, int]) -> int:
+    """Return how many levels there are: `wanted`, or, for 0, as many as bring light across the scene.
+
+    A tenth of the area may be of disks that do not reach quite as far.
+    """
+    if wanted or not surfels.count:
+        return max(1, wanted)
+    first = first_shell(radius_of(surfels, 0.1), epsilon)
+    coarsest = int(np.ceil(np.log2(max(1.0, DIAMETER / first))))
+    # Where a block is the picture nothing is gained by larger ones.
+    return 1 + min(coarsest, MOST_LEVELS - 1, int(np.log2(max(1, min(size)))))
 
 
 def _bound_sizes(size: tuple[int, int]) -> list[tuple[int, int, int]]:

@@ -24,12 +24,9 @@ uniform int bounds_levels;
 uniform ivec3 bounds[16];   // size and first box of each level of the MIP map; the first is of blocks of 4 x 4
 
 #ifdef BOUNCED
-uniform float reach;        // the first shell's outer radius over the radius of a surfel at the receiver
+uniform float first_shell;  // its outer radius, the same for all surfels
 uniform float inflation;
-uniform bool last_level;
-uniform float per_distance;
-uniform vec3 eye;
-uniform float nearest;
+uniform bool last;
 #else
 uniform float epsilon;
 #endif
@@ -40,13 +37,10 @@ const float SLACK = 1e-4; // of rounding, in units of the scene's radius
 bool find_shell(Surfel s, uint k, out float inner, out float outer) {
     float wider = float(1 << level);
 #ifdef BOUNCED
-    // A receiver p looks as far as reach * radius(p), and p's radius is per_distance * |p - eye| at most for p far away;
-    // |p - eye| <= |c - eye| + |p - c|.
-    float slope = reach * wider * per_distance;
+    // What is hit is within the shell, and no farther from the centre than the enlarged disk is wide.
     float disk = s.place.w * wider * inflation;
-    float far = slope * max(distance(s.place.xyz, eye), nearest) + disk;
-    inner = 0.0;
-    outer = last_level || slope > 0.99 ? 4.0 : min(far / (1.0 - slope), 4.0);
+    inner = level == 0 ? 0.0 : max(0.5 * first_shell * wider - disk, 0.0);
+    outer = (last ? 2.0 : first_shell * wider) + disk;
     return true;
 #else
     float L = 0.0;

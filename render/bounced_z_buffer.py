@@ -1,0 +1,206 @@
+"""Deep screen space with visibility: the bounced z-buffer (BZB 2015; Nalbach 2017, ch. 6).
+
+surfelize          disks of about one size on the screen, of all that blocks   once, while nothing moves
+receiver_bounds    least and greatest coordinates of blocks of pixels          once
+shell_receivers    what pixels see, in the order of a level's sub-buffers      once, per level
+shell_cull         the splats that reach a pixel                               once, per level
+bounce_begin       directions, and an empty z-buffer                           once, per level
+bounce_splat       the nearest disk that each direction meets                  once, per level
+bounce_hits        back to the pixels; what a finer level found stands         once, per level
+surfel_glow        what each disk sends                                        per picture
+bounce_light       the mean over a pixel's directions                          per picture
+glow_filter        shared among the pixels of a surface                        per picture
+glow_reflect       times reflectance, onto every sample                        per picture
+
+Disks of nominal area leave holes between them, so they are enlarged by `INFLATION`, which makes them protrude instead:
+the error stalls there, however many directions a pixel has. Shells are told by the distance of the hit, not by that of
+the centre: a large disk seen at a grazing angle then has no gap between two levels.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.render.device import Device, set_uniforms
+from phoslab.render.directions import patterned_points
+from phoslab.render.glow_pixels import GlowPixels
+from phoslab.render.glow_transport import Surroundings, TransportParameters
+from phoslab.render.memory import check_room
+from phoslab.render.optics import layer_count
+from phoslab.render.passes import Picture
+from phoslab.render.shells import SEED, ShellLevels, choose_levels, first_shell, radius_of
+from phoslab.render.surfel_glow import SurfelGlow
+from phoslab.render.surfels import Extent, View, surfelize
+
+# Radius within which a disk is hit, over that of its nominal area.
+INFLATION = 1.3
+# Hits nearer than this share of a disk's radius are the receiver's own surface.
+OWN = 0.05
+FARTHEST = 2.0  # across the scene
+
+
+class BouncedZBuffer:
+    """Keeps the nearest surfel in each of a pixel's directions; the error falls with `directions` until it stalls."""
+
+    name: ClassVar[str] = "dss-z"
+    reads: ClassVar[tuple[str, ...]] = (
+        "meshes",
+        "position_w",
+        "normal_w",
+        "uv",
+        "atlas.radiance",
+        "reflectance",
+    )
+    writes: ClassVar[tuple[str, ...]] = ("radiance",)
+
+    def __init__(self, device: Device, surroundings: Surroundings, parameters: TransportParameters) -> None:
+        self._device, self._around, self._parameters = device, surroundings, parameters
+        w, h = surroundings.size
+        n, pattern = parameters.directions, max(1, parameters.filter_px)
+        check_room(3 * w * h * n * 4, "what a picture's directions hit")
+        self._layers = layer_count(surroundings.scene.transport.n)
+        self.extent = Extent.of(surroundings.drawables)
+        self._view = View.of(surroundings.scene.camera, self.extent, parameters.surfel)
+        self._pixels = GlowPixels(device, surroundings, self.extent, looks=n)
+        self._points = device.buffer(patterned_points(pattern, n).astype(np.float32))
+        self._hits = device.reserve(w * h * n * 4)
+        self._directions = {"DIRECTIONS": n}
+        self._defines = {
+            "DIRECTIONS": n,
+            "PATTERN": pattern,
+            "SUPERSAMPLING": surroundings.supersampling,
+        }
+        self._program = device.program("bounce_splat", defines=self._directions)
+        self._quads = device.vertex_array(self._program)
+
+    def prepare(self) -> None:
+        """Make the surfels, and find what every direction meets."""
+        device, p, around = self._device, self._parameters, self._around
+        self.surfels = surfelize(device, around.drawables, self.extent, self._view)
+        n_bands = around.scene.transport.n
+        self.surfel_glow = SurfelGlow(device, self.surfels, around.glows, around.atlases, n_bands)
+        levels = choose_levels(p.levels, self.surfels, p.epsilon, around.size)
+        self.first_shell = first_shell(radius_of(self.surfels, 0.5), p.epsilon)
+        self._surfel_bits = max(1, int(self.surfels.count - 1).bit_length())
+        w, h = around.size
+        self._hits.write(bytes(self._hits.size))
+        with device.scope():
+            self.shells = ShellLevels(device, around, self._pixels, self.extent, levels)
+            self.shells.prepare()
+            texels = self.shells.size[0] * self.shells.size[1]
+            depths, directions = (device.reserve(texels * p.directions * 4) for _ in range(2))
+            target = device.empty_framebuffer(self.shells.size)
+            for level in range(levels):
+                with device.scope():
+                    self.shells.shuffle(level)
+                    self._begin(level, depths, directions)
+                    self._splat(level, depths, directions, target)
+                    self._find_hits(level, depths)
+
+    def _bind(self, **buffers: moderngl.Buffer) -> None:
+        for name, place in BINDINGS.items():
+            if name in buffers:
+                buffers[name].bind_to_storage_buffer(place)
+
+    def _begin(self, level: int, depths: moderngl.Buffer, directions: moderngl.Buffer) -> None:
+        shader = self._device.compute("bounce_begin", self._defines)
+        self._pixels.bind_receivers(shader)
+        self._bind(depths=depths, directions=directions, points=self._points, hits=self._hits)
+        set_uniforms(shader, level=level, seed=SEED, row=self.shells.size[0])
+        self._device.dispatch(shader, self.shells.size)
+
+    def _splat(
+        self,
+        level: int,
+        depths: moderngl.Buffer,
+        directions: moderngl.Buffer,
+        target: moderngl.Framebuffer,
+    ) -> None:
+        last = level == self.shells.levels - 1
+        splats = self.shells.find_splats(
+            self.surfels,
+            self.surfel_glow.radiances,
+            level,
+            {"LAYERS": self._layers, "BOUNCED": 1},
+            first_shell=self.first_shell,
+            inflation=INFLATION,
+            last=last,
+        )
+        outer = self.first_shell * 2**level
+        shell = (outer / 2 if level else OWN * radius_of(self.surfels, 0.5), FARTHEST if last else outer)
+        target.use()
+        self._bind(surfels=self.surfels.buffer, depths=depths, directions=directions, splats=splats.buffer)
+        self.shells.bind_shuffled(self._program)
+        set_uniforms(
+            self._program,
+            level=level,
+            inflation=INFLATION,
+            row=self.shells.size[0],
+            shell=shell,
+            surfel_bits=self._surfel_bits,
+        )
+        self._device.ctx.enable_only(moderngl.NOTHING)
+        if splats.count:
+            self._quads.render(vertices=6 * splats.count)
+        self._device.ctx.memory_barrier()
+
+    def _find_hits(self, level: int, depths: moderngl.Buffer) -> None:
+        shader = self._device.compute("bounce_hits", self._defines)
+        self._bind(depths=depths, hits=self._hits, points=self._points)
+        set_uniforms(
+            shader,
+            level=level,
+            seed=SEED,
+            size=self._around.size,
+            row=self.shells.size[0],
+            surfel_bits=self._surfel_bits,
+        )
+        self._device.dispatch(shader, self._around.size)
+
+    def hits(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return (h, w, directions) the surfel that each direction meets, or -1, and the level that found it."""
+        w, h = self._around.size
+        words = np.frombuffer(self._hits.read(), dtype=np.uint32).reshape(h, w, -1).astype(np.int64)
+        return (words & ((1 << LEVEL_BIT) - 1)) - 1, words >> LEVEL_BIT
+
+    def run(self, radiance: moderngl.TextureArray) -> None:
+        """Add what every sample reflects of the glow that its pixel's directions meet."""
+        self.surfel_glow.run()
+        if self.surfel_glow.glow == 0.0:
+            return
+        shader = self._device.compute("bounce_light", {**self._defines, "LAYERS": self._layers})
+        self._pixels.bind_receivers(shader)
+        self._bind(
+            surfels=self.surfels.buffer,
+            radiances=self.surfel_glow.radiances,
+            points=self._points,
+            hits=self._hits,
+            nearness=self._pixels.nearness,
+        )
+        self._pixels.light.bind_to_image(0, read=False, write=True)
+        self._device.dispatch(shader, self._around.size)
+        if self._parameters.filter_px:
+            self._pixels.filter(self._parameters.filter_px)
+        self._pixels.reflect(radiance, self.surfel_glow.glow)
+
+    def debug_views(self) -> dict[str, Picture]:
+        """The light that falls on each pixel."""
+        return {"light": self._pixels.picture()}
+
+
+# Storage buffers by the places that the shaders give them; see shaders/include/bounces.glsl for the hits.
+BINDINGS = {
+    "surfels": 0,
+    "radiances": 1,
+    "depths": 2,
+    "directions": 3,
+    "splats": 4,
+    "points": 5,
+    "hits": 6,
+    "nearness": 7,
+}
+LEVEL_BIT = 28
