@@ -37,7 +37,7 @@ from phoslab.render.surfel_glow import SurfelGlow
 from phoslab.render.surfels import Extent, View, surfelize
 
 # Radius within which a disk is hit, over that of its nominal area.
-INFLATION = 1.3
+INFLATION = 1.4
 # Hits nearer than this share of a disk's radius are the receiver's own surface.
 OWN = 0.05
 FARTHEST = 2.0  # across the scene
@@ -110,6 +110,7 @@ class BouncedZBuffer:
         shader = self._device.compute("bounce_begin", self._defines)
         self._pixels.bind_receivers(shader)
         self._bind(depths=depths, directions=directions, points=self._points, hits=self._hits)
+        self.shells.position.bind_to_image(0, read=True, write=True)
         set_uniforms(shader, level=level, seed=SEED, row=self.shells.size[0])
         self._device.dispatch(shader, self.shells.size)
 

@@ -8,6 +8,7 @@ layout(local_size_x = 8, local_size_y = 8) in;
 layout(std430, binding = 2) writeonly buffer Depths { uint depths[]; };         // DIRECTIONS a pixel
 layout(std430, binding = 3) writeonly buffer Directions { uint directions[]; }; // DIRECTIONS a pixel
 layout(std430, binding = 6) readonly buffer Hits { uint hits[]; };              // DIRECTIONS a pixel, in the picture's order
+layout(rgba32f, binding = 0) uniform image2D shuffled_position;
 uniform int row; // pixels of a row of sub-buffers
 
 void main() {
@@ -16,11 +17,14 @@ void main() {
     ivec2 pixel = to_pixel(at, blocks);
     vec3 p, n;
     bool there = all(lessThan(pixel, size)) && find_receiver(pixel, p, n);
+    bool any_open = false;
     for (int k = 0; k < DIRECTIONS; ++k) {
         int word = (at.y * row + at.x) * DIRECTIONS + k;
         // What a finer level has found is nearer than all that this one may find.
         bool open = there && hits[(pixel.y * size.x + pixel.x) * DIRECTIONS + k] == 0u;
+        any_open = any_open || open;
         depths[word] = open ? 0xffffffffu : 0u;
         directions[word] = open ? choose_direction(pixel, k, n) : 0u;
     }
+    if (!any_open) imageStore(shuffled_position, at, vec4(0.0));
 }

@@ -24,10 +24,14 @@ void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
     vec4 p = texelFetch(shuffled_position, at, 0);
     vec3 to = v_place.xyz - p.xyz;
-    float height = dot(to, v_facing);
     if (p.w == 0.0) return;
+    // No hit is farther from the disk's centre than its radius: so far, so near, or so low under the horizon is none.
+    float away = length(to), radius = sqrt(v_place.w);
+    vec3 n = texelFetch(shuffled_normal, at, 0).xyz;
+    if (away > shell.y + radius || away < shell.x - radius || dot(to, n) < -radius) return;
+    float height = dot(to, v_facing);
     // The receiver's own surface.
-    if (abs(height) < COPLANAR && abs(dot(v_facing, texelFetch(shuffled_normal, at, 0).xyz)) > PARALLEL) return;
+    if (abs(height) < COPLANAR && abs(dot(v_facing, n)) > PARALLEL) return;
     float steps = float((1u << (32 - surfel_bits)) - 3u);
     int first = (at.y * row + at.x) * DIRECTIONS;
     for (int k = 0; k < DIRECTIONS; ++k) {

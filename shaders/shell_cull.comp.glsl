@@ -106,9 +106,11 @@ void main() {
     }
 #ifdef FILL
     if (!wanted) return;
-    // Round robin; the quad is cut to its own sub-buffer.
-    uint sub = k & uint((1 << (2 * level)) - 1);
-    ivec2 corner = ivec2(sub & uint((1 << level) - 1), sub >> level) * blocks;
+    // Each of 4^l surfels in a row has a sub-buffer of its own, in an order that is random each time: round robin would
+    // beat with the sequence that places them. The quad is cut to its sub-buffer.
+    uint shuffle = hash(uvec3(k >> (2 * level), seed, uint(level))).x >> 8u;
+    ivec2 sub = ivec2(k ^ shuffle, (k ^ shuffle) >> level) & ((1 << level) - 1);
+    ivec2 corner = sub * blocks;
     uint at = sums[k].x;
     splats[at].rectangle = in_blocks + ivec4(corner, corner);
     splats[at].surfel = k;
