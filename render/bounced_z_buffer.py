@@ -25,15 +25,16 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.render.device import Device, set_uniforms
+from phoslab.render.device import Device, read_texture, set_uniforms
 from phoslab.render.directions import patterned_points
 from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import Surroundings, TransportParameters
 from phoslab.render.memory import check_room
 from phoslab.render.optics import layer_count
-from phoslab.render.passes import Picture
+from phoslab.render.passes import Picture, false_normal
 from phoslab.render.shells import SEED, ShellLevels, choose_levels, first_shell, radius_of
 from phoslab.render.surfel_glow import SurfelGlow
+from phoslab.render.surfel_picture import colours, picture_of
 from phoslab.render.surfels import Extent, View, surfelize
 
 # Radius within which a disk is hit, over that of its nominal area.
@@ -97,7 +98,7 @@ class BouncedZBuffer:
             for level in range(levels):
                 with device.scope():
                     self.shells.shuffle(level)
-                    self._begin(level, depths, directions)
+                    self._begin(level, self.shells, depths, directions, self._hits)
                     self._splat(level, depths, directions, target)
                     self._find_hits(level, depths)
 
@@ -106,13 +107,20 @@ class BouncedZBuffer:
             if name in buffers:
                 buffers[name].bind_to_storage_buffer(place)
 
-    def _begin(self, level: int, depths: moderngl.Buffer, directions: moderngl.Buffer) -> None:
+    def _begin(
+        self,
+        level: int,
+        shells: ShellLevels,
+        depths: moderngl.Buffer,
+        directions: moderngl.Buffer,
+        hits: moderngl.Buffer,
+    ) -> None:
         shader = self._device.compute("bounce_begin", self._defines)
         self._pixels.bind_receivers(shader)
-        self._bind(depths=depths, directions=directions, points=self._points, hits=self._hits)
-        self.shells.position.bind_to_image(0, read=True, write=True)
-        set_uniforms(shader, level=level, seed=SEED, row=self.shells.size[0])
-        self._device.dispatch(shader, self.shells.size)
+        self._bind(depths=depths, directions=directions, points=self._points, hits=hits)
+        shells.position.bind_to_image(0, read=True, write=True)
+        set_uniforms(shader, level=level, seed=SEED, row=shells.size[0])
+        self._device.dispatch(shader, shells.size)
 
     def _splat(
         self,
@@ -188,9 +196,45 @@ class BouncedZBuffer:
             self._pixels.filter(self._parameters.filter_px)
         self._pixels.reflect(radiance, self.surfel_glow.glow)
 
+    def directions(self) -> NDArray[np.float64]:
+        """Return (h, w, directions, 3) where each pixel looks, in the world; row 0 is the lowest."""
+        w, h = self._around.size
+        n = w * h * self._parameters.directions
+        with self._device.scope():
+            # On level 0 the sub-buffer is the picture. Without hits, every direction is open.
+            shells = ShellLevels(self._device, self._around, self._pixels, self.extent, 1)
+            words, depths = (self._device.reserve(4 * n) for _ in range(2))
+            none = self._device.buffer(np.zeros(n, dtype=np.uint32))
+            shells.shuffle(0)
+            self._begin(0, shells, depths, words, none)
+            packed = np.frombuffer(words.read(), dtype=np.int16).reshape(h, w, -1, 2)
+        xy = np.maximum(packed / 32767.0, -1.0)
+        z = 1.0 - np.abs(xy).sum(axis=-1, keepdims=True)
+        folded = (1.0 - np.abs(xy[..., ::-1])) * np.where(xy >= 0, 1.0, -1.0)
+        d = np.concatenate([np.where(z >= 0, xy, folded), z], axis=-1)
+        unit: NDArray[np.float64] = d / np.linalg.norm(d, axis=-1, keepdims=True)
+        return unit
+
     def debug_views(self) -> dict[str, Picture]:
-        """The light that falls on each pixel."""
-        return {"light": self._pixels.picture()}
+        """The light that falls on each pixel, the surfels where they are seen, and of each pixel's first direction: where
+        it goes, the surfel that it meets, the level that found it, and where in that level's shell, dark being near."""
+        surfel, level = (values[::-1, :, 0] for values in self.hits())
+        seen = read_texture(self._around.gbuffer.position_w)
+        step = self._around.supersampling
+        seen = seen[step // 2 :: step, step // 2 :: step][::-1]
+        position = (seen[..., :3] - self.extent.centre) / self.extent.radius
+        centres = self.surfels.read()[:, :3]
+        away = np.linalg.norm(centres[surfel] - position, axis=-1) if len(centres) else np.zeros(surfel.shape)
+        share = np.where(surfel >= 0, away / (self.first_shell * 2.0**level), 0.0)
+        met = (surfel >= 0)[..., None]
+        return {
+            "light": self._pixels.picture(),
+            "surfels": picture_of(self.surfels, self._around.gbuffer, self.extent),
+            "directions": false_normal(self.directions()[::-1, :, 0], seen[..., 3] > 0),
+            "hits": np.where(met, colours(surfel), 0.0),
+            "levels": np.where(met, colours(level), 0.0),
+            "shells": np.repeat(np.clip(share, 0.0, 1.0)[..., None], 3, axis=-1),
+        }
 
 
 # Storage buffers by the places that the shaders give them; see shaders/include/bounces.glsl for the hits.

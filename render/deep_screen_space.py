@@ -18,16 +18,16 @@ from __future__ import annotations
 from typing import ClassVar
 
 import moderngl
-import numpy as np
 
 from phoslab.errors import PhoslabError
 from phoslab.render.device import Device, read_texture, set_uniforms
 from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import Surroundings, TransportParameters
 from phoslab.render.optics import layer_count
-from phoslab.render.passes import Picture, side_by_side
+from phoslab.render.passes import Picture, false_grey, side_by_side
 from phoslab.render.shells import SEED, ShellLevels, Splats, choose_levels
 from phoslab.render.surfel_glow import SurfelGlow
+from phoslab.render.surfel_picture import picture_of
 from phoslab.render.surfels import Extent, View, surfelize
 
 # Colours that OpenGL draws into at once, at least, of four bands each.
@@ -130,5 +130,19 @@ class DeepScreenSpace:
             self._device.dispatch(shader, self._around.size)
 
     def debug_views(self) -> dict[str, Picture]:
-        """The light that falls on each pixel."""
-        return {"light": self._pixels.picture()}
+        """The light that falls on each pixel, the surfels where they are seen, and all levels: the light that each adds,
+        and the shells that it is of, in their sub-buffers."""
+        views = {
+            "light": self._pixels.picture(),
+            "surfels": picture_of(self.surfels, self._around.gbuffer, self.extent),
+        }
+        added, shells = [], []
+        for level in range(self.shells.levels):
+            with self._device.scope():
+                self.shells.shuffle(level)
+                self.splat(level, self.find_splats(level))
+            shells.append(false_grey(read_texture(self._targets[0])[::-1].sum(axis=-1)))
+            self._pixels.clear()
+            self._unshuffle(level)
+            added.append(self._pixels.picture())
+        return views | {"levels": side_by_side(added), "shells": side_by_side(shells)}

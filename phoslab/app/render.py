@@ -34,6 +34,7 @@ PASSES = (
     *("shadow_map", "atlas_geometry", "atlas_irradiance", "excitation", "phosphor_step"),
     *("gbuffer", "direct_light", "glow", "atlas_glow", "resolve", "glow_transport"),
 )
+VIEWS = ("surfels", "levels", "shells", "directions", "hits")
 METHODS = ("none", "dss", "dss-z", "tiles", "reference")
 
 # Pixels along a side, as in a scene file.
@@ -265,8 +266,8 @@ def _time(text: str) -> str:
 
 
 def _pass(text: str) -> str:
-    if text not in PASSES:
-        raise argparse.ArgumentTypeError(f"{text!r} is no pass (choose from {', '.join(PASSES)})")
+    if text not in (*PASSES, *VIEWS):
+        raise argparse.ArgumentTypeError(f"{text!r} is no pass (choose from {', '.join((*PASSES, *VIEWS))})")
     return text
 
 
