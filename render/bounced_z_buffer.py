@@ -57,6 +57,7 @@ class BouncedZBuffer:
         "reflectance",
     )
     writes: ClassVar[tuple[str, ...]] = ("radiance",)
+    shells_culled: ClassVar[bool] = True  # False: draws what reaches no receiver, too
 
     def __init__(self, device: Device, surroundings: Surroundings, parameters: TransportParameters) -> None:
         self._device, self._around, self._parameters = device, surroundings, parameters
@@ -90,7 +91,9 @@ class BouncedZBuffer:
         w, h = around.size
         self._hits.write(bytes(self._hits.size))
         with device.scope():
-            self.shells = ShellLevels(device, around, self._pixels, self.extent, levels)
+            self.shells = ShellLevels(
+                device, around, self._pixels, self.extent, levels, culled=self.shells_culled
+            )
             self.shells.prepare()
             texels = self.shells.size[0] * self.shells.size[1]
             depths, directions = (device.reserve(texels * p.directions * 4) for _ in range(2))

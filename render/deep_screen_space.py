@@ -47,6 +47,7 @@ class DeepScreenSpace:
         "reflectance",
     )
     writes: ClassVar[tuple[str, ...]] = ("radiance",)
+    shells_culled: ClassVar[bool] = True  # False: draws what reaches no receiver, too
 
     def __init__(self, device: Device, surroundings: Surroundings, parameters: TransportParameters) -> None:
         self._device, self._around, self._parameters = device, surroundings, parameters
@@ -74,7 +75,12 @@ class DeepScreenSpace:
         p = self._parameters
         levels = choose_levels(p.levels, self.surfels, p.epsilon, self._around.size)
         self.shells = ShellLevels(
-            self._device, self._around, self._pixels, self.extent, levels
+            self._device,
+            self._around,
+            self._pixels,
+            self.extent,
+            levels,
+            culled=self.shells_culled,
         )
         self._targets = [self._device.texture(self.shells.size, 4) for _ in range(self._layers)]
         self._framebuffer = self._device.framebuffer(self._targets)

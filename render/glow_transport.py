@@ -55,7 +55,7 @@ class TransportParameters:
     cell: float = 1 / 40
     detail: float = 0.3
     surfel: float = 0.02
-    epsilon: float = 0.01
+    epsilon: float = 0.02
     levels: int = 0
     samples: int = 256
     full: bool = False

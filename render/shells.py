@@ -57,6 +57,8 @@ class ShellLevels:
         pixels: GlowPixels,
         extent: Extent,
         levels: int,
+        *,
+        culled: bool = True,
     ) -> None:
         self._device, self._around, self._pixels = device, surroundings, pixels
         self.levels = levels
@@ -78,7 +80,7 @@ class ShellLevels:
         self._bounds = _bound_sizes(self.picture_size)
         n_boxes = sum(x * y for x, y, _ in self._bounds)
         self._boxes = device.reserve(n_boxes * 32)
-        self.culled = True
+        self._culled = culled
 
     def prepare(self) -> None:
         """Bound what is seen."""
@@ -129,7 +131,7 @@ class ShellLevels:
                 size=self.picture_size,
                 level=level,
                 seed=SEED,
-                culled=self.culled,
+                culled=self._culled,
                 bounds=bounds,
                 bounds_levels=len(self._bounds),
             )

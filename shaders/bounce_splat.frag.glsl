@@ -18,7 +18,7 @@ uniform int surfel_bits;
 const int PATTERN = 1;
 #include "bounces.glsl"
 
-const float COPLANAR = 2e-5, PARALLEL = 0.8;
+const float COPLANAR = 2e-5, PARALLEL = 0.8, RIM = 2.0;
 
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
@@ -38,7 +38,9 @@ void main() {
         vec3 d = unpack_direction(directions[first + k]);
         float t = height / dot(d, v_facing);
         vec3 off = t * d - to;
-        if (t >= shell.x && t < shell.y && dot(off, off) < v_place.w) {
+        // Disks protrude from the edges of what they stand for: a back so near is that of the receiver's own body.
+        bool rim = height > 0.0 && t < RIM * radius;
+        if (t >= shell.x && t < shell.y && dot(off, off) < v_place.w && !rim) {
             uint depth = 1u + uint(t / shell.y * steps);
             atomicMin(depths[first + k], (depth << surfel_bits) | v_surfel);
         }

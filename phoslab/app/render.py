@@ -115,7 +115,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--epsilon",
         metavar="SHARE",
         type=float,
-        help="share of the frame's glow at which a surfel's first shell ends (default 0.01)",
+        help="share of the frame's glow at which a surfel's first shell ends (default 0.02)",
     )
     parser.add_argument(
         "--levels",
