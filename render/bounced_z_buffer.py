@@ -19,7 +19,7 @@ the centre: a large disk seen at a grazing angle then has no gap between two lev
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import moderngl
 import numpy as np
@@ -65,9 +65,8 @@ class BouncedZBuffer:
         n, pattern = parameters.directions, max(1, parameters.filter_px)
         check_room(3 * w * h * n * 4, "what a picture's directions hit")
         self._layers = layer_count(surroundings.scene.transport.n)
-        self.extent = Extent.of(surroundings.drawables)
-        self._view = View.of(surroundings.scene.camera, self.extent, parameters.surfel)
-        self._pixels = GlowPixels(device, surroundings, self.extent, looks=n)
+        self._pixels = GlowPixels(device, surroundings, Extent.of(surroundings.drawables), looks=n)
+        self._made: list[Any] = []
         self._points = device.buffer(patterned_points(pattern, n).astype(np.float32))
         self._hits = device.reserve(w * h * n * 4)
         self._directions = {"DIRECTIONS": n}
@@ -82,13 +81,16 @@ class BouncedZBuffer:
     def prepare(self) -> None:
         """Make the surfels, and find what every direction meets."""
         device, p, around = self._device, self._parameters, self._around
-        self.surfels = surfelize(device, around.drawables, self.extent, self._view)
+        device.release(*self._made)
+        self.extent = self._pixels.extent = Extent.of(around.drawables)
+        view = View.of(around.gbuffer.camera, self.extent, p.surfel)
+        self.surfels = surfelize(device, around.drawables, self.extent, view)
         n_bands = around.scene.transport.n
         self.surfel_glow = SurfelGlow(device, self.surfels, around.glows, around.atlases, n_bands)
+        self._made = [self.surfels.buffer, *self.surfel_glow.made]
         levels = choose_levels(p.levels, self.surfels, p.epsilon, around.size)
         self.first_shell = first_shell(radius_of(self.surfels, 0.5), p.epsilon)
         self._surfel_bits = max(1, int(self.surfels.count - 1).bit_length())
-        w, h = around.size
         self._hits.write(bytes(self._hits.size))
         with device.scope():
             self.shells = ShellLevels(
@@ -219,8 +221,9 @@ class BouncedZBuffer:
         return unit
 
     def debug_views(self) -> dict[str, Picture]:
-        """The light that falls on each pixel, the surfels where they are seen, and of each pixel's first direction: where
-        it goes, the surfel that it meets, the level that found it, and where in that level's shell, dark being near."""
+        """The light that falls on each pixel, the surfels where they are seen, and of each pixel's first direction:
+        where it goes, the surfel that it meets, the level that found it, and where in that level's shell (dark: near).
+        """
         surfel, level = (values[::-1, :, 0] for values in self.hits())
         seen = read_texture(self._around.gbuffer.position_w)
         step = self._around.supersampling

@@ -15,7 +15,7 @@ follows what glows and what is seen, not the scene.
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import moderngl
 
@@ -59,31 +59,31 @@ class DeepScreenSpace:
                 field="the bands of the scene",
                 remedy="Give fewer (bands_nm), or use --gi tiles.",
             )
-        self.extent = Extent.of(surroundings.drawables)
-        self._view = View.of(surroundings.scene.camera, self.extent, parameters.surfel)
-        self._pixels = GlowPixels(device, surroundings, self.extent)
+        self._pixels = GlowPixels(device, surroundings, Extent.of(surroundings.drawables))
+        self._made: list[Any] = []
         self._program = device.program("shell_splat", defines={"LAYERS": self._layers})
         self._quads = device.vertex_array(self._program)
 
     def prepare(self) -> None:
         """Make the surfels, and bound what is seen."""
-        senders = [d for d in self._around.drawables if d.material is not None]
-        self.surfels = surfelize(self._device, senders, self.extent, self._view)
-        self.surfel_glow = SurfelGlow(
-            self._device, self.surfels, self._around.glows, self._around.atlases, self._around.scene.transport.n
-        )
-        p = self._parameters
-        levels = choose_levels(p.levels, self.surfels, p.epsilon, self._around.size)
+        device, p, around = self._device, self._parameters, self._around
+        device.release(*self._made)
+        self.extent = self._pixels.extent = Extent.of(around.drawables)
+        view = View.of(around.gbuffer.camera, self.extent, p.surfel)
+        senders = [d for d in around.drawables if d.material is not None]
+        self.surfels = surfelize(device, senders, self.extent, view)
+        n_bands = around.scene.transport.n
+        self.surfel_glow = SurfelGlow(device, self.surfels, around.glows, around.atlases, n_bands)
+        levels = choose_levels(p.levels, self.surfels, p.epsilon, around.size)
         self.shells = ShellLevels(
-            self._device,
-            self._around,
-            self._pixels,
-            self.extent,
-            levels,
-            culled=self.shells_culled,
+            device, around, self._pixels, self.extent, levels, culled=self.shells_culled
         )
-        self._targets = [self._device.texture(self.shells.size, 4) for _ in range(self._layers)]
-        self._framebuffer = self._device.framebuffer(self._targets)
+        self._targets = [device.texture(self.shells.size, 4) for _ in range(self._layers)]
+        self._framebuffer = device.framebuffer(self._targets)
+        self._made = [
+            *(self.surfels.buffer, *self.surfel_glow.made, *self.shells.made),
+            *(self._framebuffer, *self._targets),
+        ]
         self.shells.prepare()
 
     def run(self, radiance: moderngl.TextureArray) -> None:
@@ -136,8 +136,9 @@ class DeepScreenSpace:
             self._device.dispatch(shader, self._around.size)
 
     def debug_views(self) -> dict[str, Picture]:
-        """The light that falls on each pixel, the surfels where they are seen, and all levels: the light that each adds,
-        and the shells that it is of, in their sub-buffers."""
+        """The light that falls on each pixel, the surfels where they are seen, and all levels: the light that each
+        adds, and the shells that it is of, in their sub-buffers.
+        """
         views = {
             "light": self._pixels.picture(),
             "surfels": picture_of(self.surfels, self._around.gbuffer, self.extent),

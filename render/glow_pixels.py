@@ -23,10 +23,13 @@ class GlowPixels:
 
     Args:
         looks: directions in which a pixel looks for what stands near; the sum of 1 / distance is in `nearness`.
+
+    Attributes:
+        extent: where the scene lies.
     """
 
     def __init__(self, device: Device, surroundings: Surroundings, extent: Extent, looks: int = 1) -> None:
-        self._device, self._around, self._extent = device, surroundings, extent
+        self._device, self._around, self.extent = device, surroundings, extent
         self._n_bands = surroundings.scene.transport.n
         w, h = surroundings.size
         layers = layer_count(self._n_bands)
@@ -39,7 +42,7 @@ class GlowPixels:
         """Tell a shader that includes `receivers.glsl` what pixels see."""
         self._around.gbuffer.position_w.use(0)
         self._around.gbuffer.normal_w.use(1)
-        set_uniforms(shader, position_w=0, normal_w=1, to_cells=self._extent.uniform)
+        set_uniforms(shader, position_w=0, normal_w=1, to_cells=self.extent.uniform)
 
     def clear(self) -> None:
         """Make it dark."""
@@ -77,7 +80,7 @@ class GlowPixels:
         self.light.use(4)
         self.nearness.bind_to_storage_buffer(0)
         units = {"normal_w": 1, "uv": 2, "reflectance": 3, "light": 4}
-        set_uniforms(shader, **units, glow=glow, radius=self._extent.radius)
+        set_uniforms(shader, **units, glow=glow, radius=self.extent.radius)
         radiance.bind_to_image(0, read=True, write=True)
         for drawable, rectangle in zip(self._around.drawables, gbuffer.rectangles, strict=True):
             if 0 in rectangle[2:]:

@@ -68,7 +68,7 @@ class ShellLevels:
         self.position = device.texture(self.size, 4)
         self.normal = device.texture(self.size, 4, dtype="f2")
         self._supersampling = {"SUPERSAMPLING": surroundings.supersampling}
-        camera = surroundings.scene.camera
+        camera = surroundings.gbuffer.camera
         to_metres = np.linalg.inv(extent.from_world)
         self._to_view = np.diag([*(3 * [1 / extent.radius]), 1.0]) @ camera.world_to_view @ to_metres
         focal = h / 2 / float(np.tan(camera.yfov_rad / 2))
@@ -81,6 +81,11 @@ class ShellLevels:
         n_boxes = sum(x * y for x, y, _ in self._bounds)
         self._boxes = device.reserve(n_boxes * 32)
         self._culled = culled
+
+    @property
+    def made(self) -> tuple[moderngl.Buffer | moderngl.Texture, ...]:
+        """What it holds on the device."""
+        return (self.position, self.normal, self._boxes)
 
     def prepare(self) -> None:
         """Bound what is seen."""
@@ -150,7 +155,7 @@ class ShellLevels:
 
 
 def first_shell(radius: float, epsilon: float) -> float:
-    """Return how far a disk as bright as the brightest reaches on level 0: its form factor, r² / (d² + r²), is epsilon."""
+    """Return how far a disk as bright as the brightest reaches on level 0: to a form factor r² / (d² + r²) of epsilon."""
     return radius * float(np.sqrt(1 / epsilon - 1))
 
 

@@ -68,6 +68,11 @@ class SurfelGlow:
         if self.glow > 0:
             self.radiances.write((values / np.float32(self.glow)).tobytes())
 
+    @property
+    def made(self) -> tuple[moderngl.Buffer | moderngl.TextureArray, ...]:
+        """What it holds on the device."""
+        return (self.radiances, *(covered for _, _, covered in self._sources))
+
     def debug_views(self) -> dict[str, Picture]:
         """Nothing of its own: surfels are shown where the camera sees them."""
         return {}

@@ -78,7 +78,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         choices=METHODS,
         default="none",
         help="how glow lights other surfaces: none (default); tiles: reflected once, gathered from cells of the "
-        "surfaces; dss: splatted from surfels, nothing blocks; dss-z: the same with what blocks; reference: reflected once, by the path tracer Mitsuba",
+        "surfaces; dss: splatted from surfels, nothing blocks; dss-z: the same with what blocks; "
+        "reference: reflected once, by the path tracer Mitsuba",
     )
     parser.add_argument(
         "--directions",

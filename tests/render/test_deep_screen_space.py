@@ -72,8 +72,8 @@ def test_closed_box_of_albedo_and_emission_one_half_reads_three_quarters(
 def test_energy_that_arrives_at_the_walls_is_what_was_sent(build, rooms, device):
     """One wall of a cube glows, all are white: over six views from the middle, E of each pixel times its area of wall.
 
-    A pixel at direction d sees r² dω / cos of wall; π L is E. Sent are π times 1 over an area of 4, all of it to the other
-    five walls. 2 %: what the point-to-disk form factor leaves out in the corners.
+    A pixel at direction d sees r² dω / cos of wall; π L is E. Sent are π times 1 over an area of 4, all of it to
+    the other five walls. 2 %: what the point-to-disk form factor leaves out in the corners.
     """
     x = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1]], dtype=float)
     shape = rooms.box((-1, -1, -1), (1, 1, 1))
@@ -169,13 +169,15 @@ def test_cost_follows_what_glows_and_not_the_scene(device, build, rooms):
         here.text(rooms.write_material(here, "lamp", [1.0] * 3, [1.0] * 3) + rooms.SATURATED)
         _, dss = transport_of(device, here.write())
         with device.scope():
-            counts.append((dss.surfels.count, sum(dss.find_splats(k).count for k in range(dss.shells.levels))))
+            counts.append(
+                (dss.surfels.count, sum(dss.find_splats(k).count for k in range(dss.shells.levels)))
+            )
     assert counts[0][0] > 500
     assert counts[1] == counts[0] or abs(counts[1][0] / counts[0][0] - 1) < 0.02
 
 
 def test_what_has_faded_by_six_decades_is_lit_as_well():
-    """The picture is the earlier one times a factor: what is added in float32 has its own rounding, but the same shells."""
+    """The picture is the earlier one times a factor: float32 rounds what is added, but the shells stay."""
     frames = lit(SCENES / "occluder", times=("0", "95"))
     bright, dim = (frame.radiance.astype(np.float64).sum(axis=-1) for frame in frames.frames)
     there = bright > 0
@@ -208,8 +210,8 @@ def inside(size):
 
 
 def test_directions_are_those_of_a_lambertian_times_the_cosine(device, build, rooms):
-    """Chi-squared of cos² and the angle around the normal, 6 x 6 equal parts of cos / π, over one pattern of pixels on each
-    of three walls: at random, 35 degrees of freedom pass 57.3 once in a hundred times; even directions lie far below."""
+    """Chi-squared of cos² and the angle around the normal, 6 x 6 equal parts of cos / π, over one pattern of pixels on
+    each of three walls: at random, 35 degrees of freedom pass 57.3 once in a hundred times; even ones lie far below."""
     scene = load_scene(rooms.closed_box(build).write())
     wide = replace(scene, camera=replace(scene.camera, yfov_rad=2.6))
     renderer, z = transport_of(device, wide, "dss-z", directions=16, filter_px=8, surfel=0.1, epsilon=0.3)
@@ -265,3 +267,12 @@ def test_views_are_those_of_the_method(tmp_path, capsys):
     capsys.readouterr()
     assert main([*args, "--gi", "dss", "--debug", "hits", *quick]) == 1
     assert "directions and hits are those of dss-z" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("method", ["dss", "dss-z"])
+def test_preparing_again_keeps_no_more_on_the_device(device, method):
+    """As after every move of the camera or of a thing."""
+    _, transport = transport_of(device, SCENES / "occluder", method, (24, 24), surfel=0.1, epsilon=0.1)
+    before = device.live
+    transport.prepare()
+    assert device.live == before

@@ -22,10 +22,12 @@ def grid(n, side=1.0):
     points = np.stack([*np.meshgrid(x, x), np.zeros((n + 1, n + 1))], axis=-1).reshape(-1, 3)
     row, column = (k.ravel() for k in np.mgrid[:n, :n])
     a = row * (n + 1) + column
-    return points, np.concatenate([
-        np.column_stack([a, a + 1, a + n + 2]),
-        np.column_stack([a, a + n + 2, a + n + 1]),
-    ])
+    return points, np.concatenate(
+        [
+            np.column_stack([a, a + 1, a + n + 2]),
+            np.column_stack([a, a + n + 2, a + n + 1]),
+        ]
+    )
 
 
 def surfels_of(device, path, *, two_pass=True, radius=RADIUS):
@@ -103,8 +105,8 @@ def test_radius_follows_the_distance_from_the_eye(device, build, rooms):
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_scenes_of_any_size_have_the_same_surfels(device, build, scale):
-    """A wall of 1 mm and of 1 km: as many as its area holds of the ideal ones in its middle; in its corners, 1.06 times as
-    far away, they are larger."""
+    """A wall of 1 mm and of 1 km: as many as its area holds of the ideal ones in its middle; in its corners, 1.06 times
+    as far away, they are larger."""
     points, triangles = grid(4)
     path = build.mesh("wall", points * scale, triangles, uv=None).camera(distance=2 * scale, yfov=0.6).write()
     disks, _ = surfels_of(device, path)
