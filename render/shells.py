@@ -155,7 +155,7 @@ class ShellLevels:
 
 
 def first_shell(radius: float, epsilon: float) -> float:
-    """Return how far a disk as bright as the brightest reaches on level 0: to a form factor r² / (d² + r²) of epsilon."""
+    """Return how far the brightest disks reach on level 0: to a form factor r² / (d² + r²) of epsilon."""
     return radius * float(np.sqrt(1 / epsilon - 1))
 
 

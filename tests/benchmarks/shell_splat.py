@@ -1,7 +1,8 @@
-"""Measure deep screen space: python tests/benchmarks/shell_splat.py
+"""Measure deep screen space: python tests/benchmarks/shell_splat.py [SCENE]
 
 Fragments a second of the splats, beside those of a shader that only writes one colour into the same targets; what a
-surfel costs, from 1e4 to 1e6 of them; and the memory that the passes take at 768 x 512, atlases and meshes apart. Nalbach, Ritschel and Seidel 2014 and 2015 report 84 MB. Medians of 5, in turns.
+surfel costs, from thousands to hundreds of thousands of them; and the memory that the passes take at 768 x 512, atlases
+and meshes apart. Medians of 5, in turns. Nalbach, Ritschel and Seidel (2014, 2015) report 84 MB.
 """
 
 from __future__ import annotations
@@ -138,9 +139,8 @@ def measure_memory(scene: Any) -> None:
                     int(np.prod(glow.radiance.size)) * 16 * (1 + 4 / 3 * 2) for glow in renderer.glows
                 )
                 held[name] = max(peak, held_bytes(device)) - int(atlases)
-        print(
-            f"{method:6} {scene.transport.n} bands {(held[method] - held['none']) / 1e6:6.1f} MB at {SIZE[0]} x {SIZE[1]}"
-        )
+        megabytes = (held[method] - held["none"]) / 1e6
+        print(f"{method:6} {scene.transport.n} bands {megabytes:6.1f} MB at {SIZE[0]} x {SIZE[1]}")
 
 
 def main(name: str = "cornell") -> None:
