@@ -71,14 +71,13 @@ class Case:
         """
         n, n_channels = len(self.kr), SCALES.size
         g, dg = exposed_decay(np.array(self.kr), T_S, np.zeros(T_S.size))
-        J = np.zeros((T_S.size, n_channels, n * (1 + n_channels)))
+        derivatives = np.zeros((T_S.size, n_channels, n * (1 + n_channels)))
         for c, scale in enumerate(SCALES):
-            J[:, c, :n] = scale * np.array(self.amplitude) * dg
-            J[:, c, n * (1 + c) : n * (2 + c)] = g
-        J = J.reshape(-1, n * (1 + n_channels))
+            derivatives[:, c, :n] = scale * np.array(self.amplitude) * dg
+            derivatives[:, c, n * (1 + c) : n * (2 + c)] = g
+        J = derivatives.reshape(-1, n * (1 + n_channels))
         weighted = J / variance.reshape(-1, 1)
-        answers: Array = np.linalg.solve(weighted.T @ J, weighted.T)[:n]
-        return answers
+        return np.asarray(np.linalg.solve(weighted.T @ J, weighted.T)[:n], float)
 
     @property
     def bound(self) -> Array:
