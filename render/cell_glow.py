@@ -62,6 +62,11 @@ class CellGlow:
         if self.glow > 0:
             self.radiances.write((means / self.glow).astype("f4").tobytes())
 
+    def release(self) -> None:
+        """Give its buffers back: the cells are made anew."""
+        lists = [buffer for texels in self._lists for buffer in (texels.ends, texels.texels)]
+        self._device.release(self._leaf_radiances, self.radiances, *lists)
+
     def debug_views(self) -> dict[str, Picture]:
         """Nothing of its own: `Tiles` shows cells where they are hit."""
         return {}

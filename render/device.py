@@ -127,6 +127,13 @@ class Device:
             self._home.use()
             self._scopes.pop().release()
 
+    def release(self, *things: Any) -> None:
+        """Release things of the innermost scope before it ends: they are made anew."""
+        made = self._scopes[-1].made
+        for thing in things:
+            del made[next(k for k in reversed(range(len(made))) if made[k] is thing)]
+            thing.release()
+
     def _keep(self, thing: T) -> T:
         self._scopes[-1].made.append(thing)
         return thing

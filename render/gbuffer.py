@@ -58,6 +58,7 @@ class GBuffer:
 
     def run(self, camera: GltfCamera) -> None:
         """Draw the scene as `camera` sees it; the picture's aspect is that of its size."""
+        self.camera = camera
         world_to_clip = self._project(camera)
         self._target.use()
         self._target.clear()

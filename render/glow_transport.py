@@ -103,7 +103,7 @@ class GlowTransport(Protocol):
     ) -> None: ...
 
     def prepare(self) -> None:
-        """Do what holds while nothing moves: the G-buffer and the atlases are drawn."""
+        """Do what holds while nothing moves: the G-buffer and the atlases are drawn. Done again after each move."""
         ...
 
     def run(self, radiance: moderngl.TextureArray) -> None:

@@ -122,7 +122,10 @@ class PhosphorState:
         self.strictest_per_s = 0.0
 
     def excite(self) -> None:
-        """Find the excitation of every texel under each course's lights. Once is enough while nothing moves."""
+        """Find the excitation of every texel under each course's lights. Once is enough while nothing moves.
+
+        The last layer, that of an initial equilibrium, is then where things are at 0 s.
+        """
         for layer, names in enumerate(self._lights):
             self.light.run(self.atlas, dict.fromkeys(names, 1.0))
             self.excitation.run(self.atlas, self.light, layer)

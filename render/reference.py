@@ -49,7 +49,7 @@ class Reference:
         around, p = self._around, self._parameters
         self.reflected = trace(
             self.meshes(),
-            around.scene.camera,
+            around.gbuffer.camera,
             around.size,
             reflections=UNLIMITED if p.full else 1,
             samples=p.samples,

@@ -62,6 +62,7 @@ class Tiles:
         self._nearness = device.buffer(np.zeros(w * h, dtype=np.float32))
         layers = layer_count(self._n_bands)
         self._light, self._spare = (device.texture_array((w, h), layers) for _ in range(2))
+        self._placed: list[bytes] = []
         self._pattern = max(1, parameters.filter_px)
         aimed = round(parameters.directions * parameters.guided)
         aimless = parameters.directions - aimed
@@ -83,13 +84,23 @@ class Tiles:
 
     def prepare(self) -> None:
         """Make the cells, and find what every ray meets."""
-        self.cells = build_cells(self._around.drawables, self._parameters.cell)
-        self.cell_glow = CellGlow(self._device, self.cells, self._around.glows, self._n_bands)
+        self._make_cells()
         n_groups = 2 * self._tiles[0] * self._tiles[1]
         with self._device.scope():
             groups = self._device.buffer(np.zeros((n_groups, GROUP_FLOATS), dtype=np.float32))
             self._bound_groups(groups)
             self._find_hits(groups, *self._choose_cells(groups, n_groups))
+
+    def _make_cells(self) -> None:
+        """Make the cells where drawables have moved; a camera that moves leaves them as they are."""
+        placed = [d.drawable.model_to_world.tobytes() for d in self._around.drawables]
+        if placed == self._placed:
+            return
+        if self._placed:
+            self.cell_glow.release()
+        self._placed = placed
+        self.cells = build_cells(self._around.drawables, self._parameters.cell)
+        self.cell_glow = CellGlow(self._device, self.cells, self._around.glows, self._n_bands)
 
     def _bind_receivers(self, shader: moderngl.ComputeShader) -> None:
         self._around.gbuffer.position_w.use(0)
