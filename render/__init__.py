@@ -225,6 +225,7 @@ def _render(
     if (
         renderer.transport is not None
         and not parameters.debug
+        and not renderer.exciting
         and find_solver(parameters.stepping.solver).closed_form
     ):
         stretches = faded_stretches(scene, list(moments))
@@ -268,4 +269,11 @@ def render_fade_basis(
         transport=transport or TransportParameters(),
     )
     with Device() as device:
-        return Renderer(device, scene, parameters).fade_basis(t_s)
+        renderer = Renderer(device, scene, parameters)
+        if renderer.exciting:
+            raise PhoslabError(
+                "does more than fade",
+                field="glow that excites (--glow-excites)",
+                remedy="Render frame by frame, or without it.",
+            )
+        return renderer.fade_basis(t_s)

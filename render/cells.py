@@ -47,6 +47,7 @@ class Cells:
         leaves: (n, 2) first and end of the smallest cells below, in their own count.
         leaf_areas: (m,).
         patches: by the number of each drawable that glows, where its leaves lie in its atlas.
+        owners: (n_drawables + 1,) the first of the smallest cells of each drawable, and their end.
         centre, radius: of the scene, in m: coordinates are (world - centre) / radius.
     """
 
@@ -59,6 +60,7 @@ class Cells:
     leaves: Indices
     leaf_areas: Array
     patches: dict[int, Patches]
+    owners: Indices
     centre: Array
     radius: float
 
@@ -144,10 +146,11 @@ def build_cells(drawables: Sequence[GpuDrawable], cell: float) -> Cells:
     area = sum(float(mesh.areas.sum()) for mesh in meshes)
     # Halved until their radius is below r, squares cover from r² to 2 r².
     forest = _Forest(max(cell, float(np.sqrt(area / MOST_LEAVES))))
-    patches = {}
+    patches, owners = {}, [0]
     for drawable, mesh in zip(drawables, meshes, strict=True):
         begin = len(forest.parts.get("uv", []))
         _add_cluster(forest, mesh, np.arange(len(mesh.areas)))
+        owners.append(forest.n_leaves)
         if mesh.uv is not None and len(mesh.areas):
             each = {name: np.concatenate(forest.parts[name][begin:]) for name in ("uv", "leaf", "density")}
             patches[drawable.number] = Patches(each["uv"], each["leaf"].astype(np.intp), each["density"])
@@ -162,6 +165,7 @@ def build_cells(drawables: Sequence[GpuDrawable], cell: float) -> Cells:
         leaves=whole["leaves"].astype(np.intp),
         leaf_areas=whole["leaf_areas"],
         patches=patches,
+        owners=np.array(owners, dtype=np.intp),
         centre=centre,
         radius=radius,
     )

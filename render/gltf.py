@@ -1,8 +1,8 @@
 """Geometry, base colours, cameras and punctual lights out of a glTF 2.0 file.
 
 What is read: node hierarchy and its animation, triangle primitives (lists, strips, fans) with POSITION, NORMAL and
-TEXCOORD_0, base colour factor and texture, perspective cameras, KHR_lights_punctual. Distances are metres. A light's colour,
-intensity and range are left aside: `scene.toml` gives lights a spectrum and an irradiance.
+TEXCOORD_0, base colour factor and texture, perspective cameras, KHR_lights_punctual. Distances are metres. A light's
+colour, intensity and range are left aside: `scene.toml` gives lights a spectrum and an irradiance.
 """
 
 from __future__ import annotations

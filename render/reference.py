@@ -51,7 +51,7 @@ class Reference:
             self.meshes(),
             around.gbuffer.camera,
             around.size,
-            reflections=UNLIMITED if p.full else 1,
+            reflections=UNLIMITED if p.full else p.bounces,
             samples=p.samples,
             direct=False,
         )

@@ -31,6 +31,7 @@ from phoslab.errors import PhoslabError
 from phoslab.render.atlas_geometry import AtlasGeometry, AtlasGeometryParameters
 from phoslab.render.atlas_glow import AtlasGlow
 from phoslab.render.atlas_irradiance import AtlasIrradiance
+from phoslab.render.cell_light import Lamps
 from phoslab.render.device import Device
 from phoslab.render.direct_light import DirectLight
 from phoslab.render.excitation import Excitation
@@ -49,6 +50,7 @@ from phoslab.render.pose import moves_lit, moving_s, pose_at
 from phoslab.render.resolve import Resolve, ResolveParameters
 from phoslab.render.scene import Scene
 from phoslab.render.shadow_map import ShadowMap, ShadowMapParameters
+from phoslab.render.surface_light import SurfaceLight, exciting_glow
 
 PASSES = (
     ShadowMap,
@@ -112,8 +114,13 @@ class Renderer:
         self.direct_light = DirectLight(device, self.shadow_map, samples, n_bands)
         self.glow = Glow(device, n_bands)
         self.resolve = Resolve(device, n_bands, ResolveParameters(parameters.size, parameters.supersampling))
+        self.lamps = Lamps(self.shadow_map)
+        self.glow_light, self.exciting = exciting_glow(scene, parameters.transport)
         self.states = self._make_states(device)
         self.transport = self._make_transport(device)
+        self.surface_light = SurfaceLight.of(
+            device, self.transport, self.glows, self.states, parameters.transport
+        )
         self._anchor_s = 0.0
         # For which times things are in place, and light falls on the atlases: None is for none.
         self._placed_s: float | None = None
@@ -138,6 +145,7 @@ class Renderer:
                     n_bands,
                     self.scene.schedule,
                     self.parameters.stepping,
+                    lit_by_glow=self.exciting,
                 )
             )
         return states
@@ -159,6 +167,7 @@ class Renderer:
             self.gbuffer,
             p.size,
             p.supersampling,
+            self.lamps,
         )
         return find_method(p.transport.method)(device, surroundings, p.transport)
 
@@ -193,8 +202,10 @@ class Renderer:
         t_s = float(np.clip(t_s, *self._moving_s)) if self._moves_lit else 0.0
         if t_s != self._excited_s:
             self._place(t_s)
+            if self.surface_light is not None:
+                self.surface_light.place()
             for state in self.states:
-                state.excite()
+                state.excite(None if self.surface_light is None else self.surface_light.of_lamps)
             self._excited_s = t_s
 
     def _see(self, t_s: float) -> None:
@@ -221,6 +232,7 @@ class Renderer:
     def _draw(self, factors: Mapping[str, float], states: Sequence[moderngl.Texture]) -> None:
         """Draw what the lights and the phosphors in these states give, down to pixels."""
         radiance = self.direct_light.radiance
+        self.lamps.factors = factors
         self.direct_light.run(self.gbuffer, self.drawables, factors)
         for phosphor, r in zip(self.states, states, strict=True):
             self.glow.run(self.gbuffer, phosphor.drawable, r, radiance)
@@ -281,6 +293,9 @@ class Renderer:
         for segment in self.scene.schedule.segments(self._anchor_s, t_s):
             for part, lit_s in self._moves(segment):
                 self._excite(lit_s)
+                if self.exciting:
+                    assert self.surface_light is not None
+                    self.surface_light.of_glow(self.states)
                 self._anchor_s = part.end_s
                 for state in self.states:
                     if part.end_s < t_s:
@@ -289,19 +304,19 @@ class Renderer:
                         self._anchor_s = state.show(part)
 
     def _moves(self, segment: Segment) -> Iterator[tuple[Segment, float]]:
-        """Yield the parts of a segment through which light falls as at one time, and that time.
+        """Yield the parts of a segment through which light falls as at one time, and that time: all of it, or steps.
 
         The parts lie on a grid that does not depend on where a picture is taken, so that a picture is the same
         whichever came before.
         """
-        begin, end = self._moving_s
+        begin, end = (0.0, math.inf) if self.exciting else self._moving_s
         step = self.parameters.stepping.step_s
-        if not self._moves_lit or segment.dark:
+        if not self.exciting and (not self._moves_lit or segment.dark):
             yield segment, self._excited_s or 0.0
             return
         first = max(0, math.floor((segment.start_s - begin) / step) - 1)
         last = math.ceil((min(segment.end_s, end) - begin) / step)
-        inner = [begin + k * step for k in range(first, last)] + [end]
+        inner = [*(begin + k * step for k in range(first, last)), end]
         edges = [t for t in inner if begin <= t <= end and segment.start_s < t < segment.end_s]
         for low, high in itertools.pairwise([segment.start_s, *dict.fromkeys(edges), segment.end_s]):
             # The middle of the whole step of the grid, of which the part may be the beginning.
@@ -310,7 +325,7 @@ class Renderer:
 
     def _warnings(self, t_s: float) -> tuple[str, ...]:
         """What the scene warns of, and every material that is seen beyond what its data support."""
-        warnings = list(self.scene.warnings)
+        warnings = [*self.scene.warnings, *self.glow_light]
         dark = self.scene.schedule.dark_for_s(t_s)
         for state in self.states:
             valid = state.phosphor.material.valid_s

@@ -1,4 +1,4 @@
-"""The scene `lantern`: a lamp is carried past a glowing wall, and a cube that turns before it leaves its shadow there."""
+"""The scene `lantern`: a lamp is carried past a glowing wall, and a cube leaves its shadow there."""
 
 from __future__ import annotations
 

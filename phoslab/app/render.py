@@ -43,6 +43,9 @@ LARGEST_SIDE = 16384
 
 MOST_SAMPLES = 1 << 20
 
+# While glow excites: it changes as slowly as materials fade.
+GLOW_STEP_S = 0.25
+
 T = TypeVar("T")
 
 
@@ -74,7 +77,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--step",
         metavar="S",
         type=_positive,
-        help="length of a step in s while light varies or things move (default 1/60; of a film, one a picture)",
+        help="length of a step in s while light varies or things move (default 1/60; of a film, one a picture; 0.25 where glow excites)",
     )
     parser.add_argument(
         "--state-format",
@@ -127,6 +130,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="let reference follow light to its end instead of for one reflection",
     )
     parser.add_argument(
+        "--bounces",
+        metavar="N",
+        type=_count,
+        default=1,
+        help="reflections of glow on its way to the camera, 1 (default) to 64; by tiles or reference",
+    )
+    parser.add_argument(
+        "--lamp-bounces",
+        action="store_true",
+        help="let surfaces light and charge others with what they reflect of the lamps, too; by tiles",
+    )
+    parser.add_argument(
+        "--glow-excites",
+        action="store_true",
+        help="let the light of phosphors charge phosphors, step by step; by tiles",
+    )
+    parser.add_argument(
         "--size", metavar="WxH", type=_size, help="size of the picture in pixels (default: the scene's)"
     )
     parser.add_argument(
@@ -163,7 +183,7 @@ def run(args: argparse.Namespace) -> int:
             scene,
             args.at,
             solver=args.solver,
-            step_s=args.step or 1 / 60,
+            step_s=args.step or (GLOW_STEP_S if args.glow_excites else 1 / 60),
             state_format=args.state_format,
             transport=transport,
             size=args.size,
@@ -185,7 +205,12 @@ def _transport(args: argparse.Namespace) -> TransportParameters:
         "samples": args.samples,
     }
     return TransportParameters(
-        args.gi, full=args.full_transport, **{k: v for k, v in said.items() if v is not None}
+        args.gi,
+        full=args.full_transport,
+        bounces=args.bounces,
+        lamps=args.lamp_bounces,
+        excites=args.glow_excites,
+        **{k: v for k, v in said.items() if v is not None},
     )
 
 
