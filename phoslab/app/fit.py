@@ -5,9 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from phoslab.app import fit_per_pixel
+
 HELP = "fit a material to a recorded session, or rates to a decay table"
 EXAMPLE = (
     "phoslab fit sample_data/sessions/green-decay --preset green -o green.json --report green.html\n"
+    "  phoslab fit sample_data/sessions/green-decay --preset green --per-pixel -o maps\n"
     "  phoslab fit decay.csv --states auto --json"
 )
 
@@ -45,6 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--report", type=Path, metavar="FILE.html", help="also write a report to read (sessions)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    fit_per_pixel.configure(parser)
     table = parser.add_argument_group("tables")
     table.add_argument(
         "--offset",
@@ -109,6 +113,8 @@ def _check_outputs(outputs: list[Path], sessions: list[Path]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.per_pixel or args.bin != 1:
+        return fit_per_pixel.run(args)
     if any(path.is_file() for path in args.session):
         return _fit_table(args)
     return _fit_session(args)
