@@ -35,9 +35,10 @@ class AtlasGather:
         normal[..., :3] /= np.maximum(length, 1e-30)
         self._position = device.texture((int(w), int(h)), 4, position)
         self._normal = device.texture((int(w), int(h)), 4, normal)
-        points = (position[..., :3].reshape(-1, 3) - tree.cells.centre) / tree.cells.radius
+        points = (position[..., :3].reshape(-1, 3).astype(np.float64) - tree.cells.centre) / tree.cells.radius
         there = position[..., 3].ravel() > 0
-        self._rays = CellRays(device, tree, points, normal[..., :3].reshape(-1, 3), there, DIRECTIONS)
+        normals = normal[..., :3].reshape(-1, 3).astype(np.float64)
+        self._rays = CellRays(device, tree, points, normals, there, DIRECTIONS)
         self._light = device.buffer(np.zeros((len(points), self._layers, 4), dtype=np.float32))
 
     def release(self) -> None:

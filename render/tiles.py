@@ -33,7 +33,7 @@ from phoslab.render.device import Device, read_array, set_uniforms
 from phoslab.render.directions import patterned_points
 from phoslab.render.glow_transport import Surroundings, TransportParameters
 from phoslab.render.memory import check_room
-from phoslab.render.optics import layer_count
+from phoslab.render.optics import layer_count, to_layers
 from phoslab.render.passes import Picture, false_grey
 
 TILE = 16  # pixels along a side; as in shaders/include/tiles.glsl
@@ -67,6 +67,7 @@ class Tiles:
         layers = layer_count(self.n_bands)
         self._light, self._spare = (device.texture_array((w, h), layers) for _ in range(2))
         self._placed: list[bytes] = []
+        self.cell_glow: CellGlow
         self.tree: CellTree | None = None
         self.cell_light: CellLight | None = None
         self._pattern = max(1, parameters.filter_px)
@@ -204,9 +205,17 @@ class Tiles:
         self.cell_glow.radiances.bind_to_storage_buffer(1)
         self._light.bind_to_image(0, read=False, write=True)
         self._device.dispatch(shader, self._around.size)
+        self._share(radiance, self.cell_glow.glow)
+
+    def reflect(self, light: NDArray[np.float32], radiance: moderngl.TextureArray) -> None:
+        """Add what every sample reflects of (h, w, K) light, E / π a pixel, top row first, filtered as ours is."""
+        self._light.write(to_layers(light[::-1]).astype("f4").tobytes())
+        self._share(radiance, 1.0)
+
+    def _share(self, radiance: moderngl.TextureArray, glow: float) -> None:
         if self._parameters.filter_px:
             self._filter()
-        self._reflect(radiance)
+        self._reflect(radiance, glow)
 
     def _filter(self) -> None:
         shader = self._program("glow_filter", "SUPERSAMPLING", "AIMLESS", "LAYERS", "RADIUS")
@@ -219,7 +228,7 @@ class Tiles:
             self._device.dispatch(shader, self._around.size)
             self._light, self._spare = self._spare, self._light
 
-    def _reflect(self, radiance: moderngl.TextureArray) -> None:
+    def _reflect(self, radiance: moderngl.TextureArray, glow: float) -> None:
         shader, gbuffer = (
             self._program("glow_reflect", "SUPERSAMPLING", "AIMLESS", "LAYERS"),
             self._around.gbuffer,
@@ -234,7 +243,7 @@ class Tiles:
             uv=2,
             reflectance=3,
             light=4,
-            glow=self.cell_glow.glow,
+            glow=glow,
             radius=self.cells.radius,
         )
         radiance.bind_to_image(0, read=True, write=True)

@@ -77,7 +77,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--step",
         metavar="S",
         type=_positive,
-        help="length of a step in s while light varies or things move (default 1/60; of a film, one a picture; 0.25 where glow excites)",
+        help="length of a step in s while light varies or things move (default 1/60; of a film, one a picture; "
+        "0.25 where glow excites)",
     )
     parser.add_argument(
         "--state-format",

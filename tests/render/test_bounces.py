@@ -27,8 +27,8 @@ def test_closed_box_reads_one_minus_a_power_of_two(build, rooms, bounces):
 
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="needs phoslab[reference]")
 def test_two_bounces_agree_with_the_path_tracer():
-    """What the second reflection adds in the Cornell box, on the mean, to 3 %: its 64² pixels x 64 paths leave 1 %
-    (the light of one path has a deviation of some 5 times its mean), and cells of 1/40 are flat."""
+    """What the second reflection adds in the Cornell box, on the mean of the picture. With 1024 paths a pixel the two
+    agree to 1 % in every band; here 192 leave it 3 % of noise at three deviations."""
     added = {}
     for method in ("tiles", "reference"):
         one, two = (
@@ -37,7 +37,7 @@ def test_two_bounces_agree_with_the_path_tracer():
                 ["off+1s"],
                 size=(64, 64),
                 supersampling=1,
-                transport=TransportParameters(method, bounces=n, samples=64, directions=16),
+                transport=TransportParameters(method, bounces=n, samples=192, directions=16),
             )[0].radiance.mean(axis=(0, 1))
             for n in (1, 2)
         )
@@ -95,13 +95,11 @@ def test_glow_charges_what_no_lamp_reaches(exciting, device, rooms):
 
 def test_the_error_of_glow_that_excites_falls_with_the_step(exciting, device):
     states = []
-    for step in (0.5, 0.25, 0.125, 1 / 32):
+    for step in (0.5, 0.25, 0.125):
         with device.scope():
             states.append(at_middle(lit_state(device, exciting.write(), 1.0, step, excites=True).states[-1]))
-    errors = [s - states[-1] for s in states[:-1]]
-    # First order, against a step of 1/32 s that has such an error of its own.
-    for k, step in ((0, 0.5), (1, 0.25)):
-        assert errors[k] / errors[k + 1] == pytest.approx((step - 1 / 32) / (step / 2 - 1 / 32), rel=0.1)
+    # First order: against 1/8 s, whose error is of that order too, 0.5 s is three times as far off as 0.25 s.
+    assert (states[0] - states[2]) / (states[1] - states[2]) == pytest.approx(3, rel=0.1)
 
 
 def test_without_it_glow_charges_nothing(exciting, device):
