@@ -326,6 +326,8 @@ class Renderer:
     def _warnings(self, t_s: float) -> tuple[str, ...]:
         """What the scene warns of, and every material that is seen beyond what its data support."""
         warnings = [*self.scene.warnings, *self.glow_light]
+        if self.parameters.transport.method != NONE and not self.states:
+            warnings.append("nothing in the scene is phosphorescent, so that no glow is to be transported")
         dark = self.scene.schedule.dark_for_s(t_s)
         for state in self.states:
             valid = state.phosphor.material.valid_s

@@ -26,23 +26,29 @@ def test_closed_box_reads_one_minus_a_power_of_two(build, rooms, bounces):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="needs phoslab[reference]")
-def test_two_bounces_agree_with_the_path_tracer():
-    """What the second reflection adds in the Cornell box, on the mean of the picture. With 1024 paths a pixel the two
-    agree to 1 % in every band; here 192 leave it 3 % of noise at three deviations."""
+def test_two_bounces_agree_with_the_path_tracer(tmp_path):
+    """What the second reflection adds in the Cornell box, on the mean of the picture.
+
+    With 1024 paths a pixel it is 1.4 % more than the path tracer's, of which 1.8 % come with the first. Here 32² pixels
+    x 256 paths, whose light has a deviation of some 5 times its mean, leave 1 %: three of these on top.
+    """
+    toml = (SCENES / "cornell" / "scene.toml").read_text(encoding="utf-8")
+    (tmp_path / "scene.toml").write_text(toml.replace("[render]\n", "[render]\nbands_nm = [400, 550, 700]\n"))
+    (tmp_path / "scene.glb").write_bytes((SCENES / "cornell" / "scene.glb").read_bytes())
     added = {}
     for method in ("tiles", "reference"):
         one, two = (
             render(
-                SCENES / "cornell",
+                tmp_path,
                 ["off+1s"],
-                size=(64, 64),
+                size=(32, 32),
                 supersampling=1,
-                transport=TransportParameters(method, bounces=n, samples=192, directions=16),
+                transport=TransportParameters(method, bounces=n, samples=256, directions=32),
             )[0].radiance.mean(axis=(0, 1))
             for n in (1, 2)
         )
-        added[method] = (two - one)[one > 0.1 * one.max()]
-    np.testing.assert_allclose(added["tiles"], added["reference"], rtol=0.03)
+        added[method] = two - one
+    np.testing.assert_allclose(added["tiles"], added["reference"], rtol=0.045)
 
 
 def lit_state(device, path, t_s, step_s=1.0, **parameters):
