@@ -226,6 +226,17 @@ class Device:
         """Make a buffer of `data`; one of no bytes is given 16, since OpenGL refuses to bind nothing."""
         return self._keep(self.ctx.buffer(data.tobytes() or bytes(16)))
 
+    def reserve(self, n_bytes: int, *, outlive: bool = False) -> moderngl.Buffer:
+        """Make a buffer of any content, for a shader to fill.
+
+        Args:
+            n_bytes: its size; at least 16 are made.
+            outlive: whether it is released with the scope around the one that is open.
+        """
+        buffer = self.ctx.buffer(reserve=max(16, n_bytes))
+        self._scopes[-2 if outlive else -1].made.append(buffer)
+        return buffer
+
     def framebuffer(
         self,
         colours: Sequence[moderngl.Texture],
@@ -233,6 +244,11 @@ class Device:
     ) -> moderngl.Framebuffer:
         """Make a framebuffer that draws into `colours` and `depth`."""
         return self._store(lambda: self.ctx.framebuffer(tuple(colours), depth))
+
+    def empty_framebuffer(self, size: tuple[int, int]) -> moderngl.Framebuffer:
+        """Make a framebuffer that keeps nothing: for shaders that write to buffers."""
+        self.check_size(size)
+        return self._store(lambda: self.ctx.empty_framebuffer(size))
 
     def program(
         self, name: str, *, vertex: str | None = None, defines: Defines | None = None

@@ -26,6 +26,7 @@ NONE = "none"
 
 # Of a pixel: at 512² already half a gigabyte of what they meet.
 MOST_DIRECTIONS = 256
+MOST_LEVELS = 10
 FILTER_RADII = (0, 2, 4, 8)
 MOST_BOUNCES = 64
 
@@ -41,6 +42,10 @@ class TransportParameters:
         filter_px: pixels to each side over which a pixel shares its neighbours' directions: 0, 2, 4 or 8 (tiles).
         cell: the radius of the smallest cell, as a share of the scene's (tiles).
         detail: the radius over the distance that no cell exceeds, unless it is one of the smallest (tiles).
+        surfel: the radius of a surfel on the screen, over half the picture's height (dss, dss-z).
+        epsilon: the share of the frame's glow below which a surfel's first shell ends (dss, dss-z).
+        levels: of the hierarchical framebuffer, each of which reaches twice as far; 0: as many as reach across the
+            scene (dss, dss-z).
         samples: light paths a pixel (reference).
         full: follow light to the end, not for one reflection alone (reference).
         bounces: reflections on the way from a phosphor to the camera, at most (tiles, reference).
@@ -54,6 +59,9 @@ class TransportParameters:
     filter_px: int = 4
     cell: float = 1 / 40
     detail: float = 0.3
+    surfel: float = 0.02
+    epsilon: float = 0.02
+    levels: int = 0
     samples: int = 256
     full: bool = False
     bounces: int = 1
@@ -67,6 +75,9 @@ class TransportParameters:
         self._check("the cells' radius", self.cell, 1e-3, 1.0)
         self._check("the cells' detail", self.detail, 1e-2, 1.0)
         self._check("the number of bounces", self.bounces, 1, MOST_BOUNCES)
+        self._check("the surfels' radius", self.surfel, 1e-3, 1.0)
+        self._check("epsilon", self.epsilon, 1e-5, 0.5)
+        self._check("the number of levels", self.levels, 0, MOST_LEVELS)
         if self.filter_px not in FILTER_RADII:
             raise PhoslabError(
                 f"is {self.filter_px} pixels",

@@ -68,6 +68,8 @@ PASSES = (
 # What can be looked at: every pass, and whichever way glow is transported.
 TRANSPORT = "glow_transport"
 DEBUG_NAMES = (*(p.name for p in PASSES), TRANSPORT)
+# What the ways of deep screen space show besides, each by its own name.
+TRANSPORT_VIEWS = ("surfels", "levels", "shells", "directions", "hits")
 
 
 @dataclass(frozen=True)
@@ -92,11 +94,11 @@ class RenderParameters:
 
     def __post_init__(self) -> None:
         for name in self.debug:
-            if name not in DEBUG_NAMES:
+            if name not in (*DEBUG_NAMES, *TRANSPORT_VIEWS):
                 raise PhoslabError(
                     f"{name!r} is unknown",
                     field="the pass",
-                    remedy=f"Use any of: {', '.join(DEBUG_NAMES)}.",
+                    remedy=f"Use any of: {', '.join((*DEBUG_NAMES, *TRANSPORT_VIEWS))}.",
                 )
 
 
@@ -357,7 +359,19 @@ class Renderer:
             Resolve.name: [self.resolve],
         }
         views: dict[str, Picture] = {}
+        asked = [name for name in self.parameters.debug if name in TRANSPORT_VIEWS]
+        made = {} if self.transport is None or not asked else self.transport.debug_views()
+        for name in asked:
+            if name not in made:
+                raise PhoslabError(
+                    f"is nothing that --gi {self.parameters.transport.method} makes",
+                    field=f"the view {name!r}",
+                    remedy="Use --gi dss or dss-z; directions and hits are those of dss-z.",
+                )
+            views[f"{TRANSPORT}.{name}"] = made[name]
         for name in self.parameters.debug:
+            if name in asked:
+                continue
             each = [source.debug_views() for source in sources[name]]
             for view in each[0] if each else ():
                 views[f"{name}.{view}"] = side_by_side([v[view] for v in each])

@@ -15,8 +15,9 @@ from phoslab.errors import PhoslabError
 from phoslab.render.atlas_gather import AtlasGather
 from phoslab.render.atlas_glow import AtlasGlow
 from phoslab.render.device import Device
-from phoslab.render.glow_transport import GlowTransport, TransportParameters
+from phoslab.render.glow_transport import NONE, GlowTransport, TransportParameters
 from phoslab.render.phosphor_state import PhosphorState
+from phoslab.render.reference import Reference
 from phoslab.render.scene import Scene
 from phoslab.render.tiles import Tiles
 
@@ -32,6 +33,12 @@ def exciting_glow(scene: Scene, parameters: TransportParameters) -> tuple[tuple[
     Raises:
         PhoslabError: it was asked for with a way of transport that does not offer it.
     """
+    if parameters.bounces > 1 and parameters.method not in (NONE, Tiles.name, Reference.name):
+        raise PhoslabError(
+            f"are followed by --gi {Tiles.name} and {Reference.name} only",
+            field="several reflections (--bounces)",
+            remedy=f"Add --gi {Tiles.name}.",
+        )
     if not (parameters.excites or parameters.lamps):
         return (), False
     if parameters.method != Tiles.name:

@@ -36,7 +36,8 @@ PASSES = (
     *("shadow_map", "atlas_geometry", "atlas_irradiance", "excitation", "phosphor_step"),
     *("gbuffer", "direct_light", "glow", "atlas_glow", "resolve", "glow_transport"),
 )
-METHODS = ("none", "tiles", "reference")
+VIEWS = ("surfels", "levels", "shells", "directions", "hits")
+METHODS = ("none", "dss", "dss-z", "tiles", "reference")
 
 # Pixels along a side, as in a scene file.
 LARGEST_SIDE = 16384
@@ -91,20 +92,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         choices=METHODS,
         default="none",
         help="how glow lights other surfaces: none (default); tiles: reflected once, gathered from cells of the "
-        "surfaces; reference: reflected once, by the path tracer Mitsuba",
+        "surfaces; dss: splatted from surfels, nothing blocks; dss-z: the same with what blocks; "
+        "reference: reflected once, by the path tracer Mitsuba",
     )
     parser.add_argument(
         "--directions",
         metavar="N",
         type=_count,
-        help="directions in which a pixel of tiles looks for glow (default 8)",
+        help="directions in which a pixel of tiles or dss-z looks for glow (default 8)",
     )
     parser.add_argument(
         "--filter",
         metavar="PX",
         type=int,
         choices=(0, 2, 4, 8),
-        help="pixels to each side over which tiles share them (default 4)",
+        help="pixels to each side over which tiles and dss-z share them (default 4)",
     )
     parser.add_argument(
         "--cell",
@@ -117,6 +119,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="RATIO",
         type=float,
         help="radius over distance that no larger cell of tiles exceeds (default 0.3)",
+    )
+    parser.add_argument(
+        "--surfel",
+        metavar="SHARE",
+        type=float,
+        help="radius of the surfels of dss and dss-z on the screen, over half its height (default 0.02)",
+    )
+    parser.add_argument(
+        "--epsilon",
+        metavar="SHARE",
+        type=float,
+        help="share of the frame's glow at which a surfel's first shell ends (default 0.02)",
+    )
+    parser.add_argument(
+        "--levels",
+        metavar="N",
+        type=int,
+        help="levels of the framebuffer of dss and dss-z, each reaching twice as far (default 0: across the scene)",
     )
     parser.add_argument(
         "--samples",
@@ -203,6 +223,9 @@ def _transport(args: argparse.Namespace) -> TransportParameters:
         "filter_px": args.filter,
         "cell": args.cell,
         "detail": args.detail,
+        "surfel": args.surfel,
+        "epsilon": args.epsilon,
+        "levels": args.levels,
         "samples": args.samples,
     }
     return TransportParameters(
@@ -322,8 +345,8 @@ def _time(text: str) -> str:
 
 
 def _pass(text: str) -> str:
-    if text not in PASSES:
-        raise argparse.ArgumentTypeError(f"{text!r} is no pass (choose from {', '.join(PASSES)})")
+    if text not in (*PASSES, *VIEWS):
+        raise argparse.ArgumentTypeError(f"{text!r} is no pass (choose from {', '.join((*PASSES, *VIEWS))})")
     return text
 
 

@@ -51,13 +51,14 @@ def test_the_command_line_knows_the_names_that_the_renderer_knows():
     from phoslab.app import render as command
     from phoslab.render.fade_basis import SUFFIX
     from phoslab.render.glow_methods import NAMES
-    from phoslab.render.renderer import DEBUG_NAMES
+    from phoslab.render.renderer import DEBUG_NAMES, TRANSPORT_VIEWS
     from phoslab.render.solvers import SOLVERS
     from phoslab.render.state_formats import FORMATS
 
     assert command.SOLVERS == tuple(SOLVERS)
     assert command.FORMATS == tuple(FORMATS)
     assert command.PASSES == DEBUG_NAMES
+    assert command.VIEWS == TRANSPORT_VIEWS
     assert command.METHODS == NAMES
     assert command.BASIS == SUFFIX
 

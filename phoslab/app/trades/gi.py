@@ -53,6 +53,8 @@ SETTINGS: dict[str, Sequence[dict[str, Any]]] = {
         {"directions": 8, "detail": 0.15},
         {"directions": 8, "detail": 0.6},
     ),
+    "dss": ({"epsilon": 0.08}, {"epsilon": 0.02}, {"surfel": 0.04}),
+    "dss-z": ({"directions": 1}, {"directions": 4}, {"epsilon": 0.08}, {"surfel": 0.04}),
 }
 PATHS = (1, 4, 16, 64)
 FEWER_PATHS = (1, 4, 16)
@@ -173,7 +175,7 @@ class _Bench:
         for method in METHODS:
             if method != Reference.name:
                 settings = SETTINGS.get(method, ({},))
-                yield method, settings[:4] if quick else settings
+                yield method, settings[: 4 if method == Tiles.name else 1] if quick else settings
 
     def _renderer(self, method: str, setting: dict[str, Any]) -> Renderer:
         transport = TransportParameters(method, **setting)

@@ -1,0 +1,78 @@
+"""What each surfel sends: its phosphor's radiance, averaged in the atlas over the area of the disk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import moderngl
+import numpy as np
+
+from phoslab.render.atlas_geometry import AtlasGeometry
+from phoslab.render.atlas_glow import AtlasGlow
+from phoslab.render.device import Device, set_uniforms
+from phoslab.render.optics import layer_count
+from phoslab.render.passes import Picture
+from phoslab.render.prefix_sums import GROUP
+from phoslab.render.surfels import Surfels
+
+
+class SurfelGlow:
+    """Reads radiance for surfels from the MIP maps of the atlases; texels between charts are left out.
+
+    Attributes:
+        radiances: a buffer of (count, layers, 4) float32, in units of `glow`; 0 for what does not glow.
+        glow: the largest radiance of any surfel, in the scene's units; 0 where nothing glows.
+    """
+
+    name: ClassVar[str] = "surfel_glow"
+    reads: ClassVar[tuple[str, ...]] = ("atlas.radiance", "atlas.position_w", "surfels")
+    writes: ClassVar[tuple[str, ...]] = ("surfel.radiance",)
+
+    def __init__(
+        self,
+        device: Device,
+        surfels: Surfels,
+        glows: Sequence[AtlasGlow],
+        atlases: Sequence[AtlasGeometry],
+        n_bands: int,
+    ) -> None:
+        self._device, self._surfels, self._layers = device, surfels, layer_count(n_bands)
+        self._sources = [
+            (glow, atlas, device.texture_array(atlas.size, self._layers + 1))
+            for glow, atlas in zip(glows, atlases, strict=True)
+        ]
+        self.radiances = device.buffer(np.zeros((surfels.count, self._layers, 4), dtype=np.float32))
+        self.glow = 0.0
+
+    def run(self) -> None:
+        """Average what the atlases hold now."""
+        device, count = self._device, self._surfels.count
+        defines = {"LAYERS": self._layers}
+        copy, read = device.compute("surfel_atlas", defines), device.compute(self.name, defines)
+        for glow, atlas, covered in self._sources:
+            glow.radiance.use(0)
+            atlas.position_w.use(1)
+            covered.bind_to_image(0, read=False, write=True)
+            set_uniforms(copy, radiance=0, position_w=1)
+            device.dispatch(copy, atlas.size)
+            covered.build_mipmaps()
+            covered.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+            covered.use(0)
+            self._surfels.buffer.bind_to_storage_buffer(0)
+            self.radiances.bind_to_storage_buffer(1)
+            set_uniforms(read, covered=0, number=float(glow.drawable.number), count=count)
+            device.dispatch(read, (max(1, count), 1), group=GROUP)
+        values = np.frombuffer(self.radiances.read(), dtype="f4").reshape(-1, 4)[: count * self._layers]
+        self.glow = float(values.max(initial=0.0))
+        if self.glow > 0:
+            self.radiances.write((values / np.float32(self.glow)).tobytes())
+
+    @property
+    def made(self) -> tuple[moderngl.Buffer | moderngl.TextureArray, ...]:
+        """What it holds on the device."""
+        return (self.radiances, *(covered for _, _, covered in self._sources))
+
+    def debug_views(self) -> dict[str, Picture]:
+        """Nothing of its own: surfels are shown where the camera sees them."""
+        return {}

@@ -1,0 +1,19 @@
+#version 430
+// What the surfels of one phosphor send: the mean of its atlas over as many texels as a surfel has area.
+layout(local_size_x = 64) in;
+#include "surfels.glsl"
+
+layout(std430, binding = 0) readonly buffer Surfels { Surfel surfels[]; };
+layout(std430, binding = 1) writeonly buffer Radiances { vec4 radiances[]; }; // LAYERS a surfel
+uniform sampler2DArray covered; // LAYERS, and one more with the share of texels that count
+uniform float number;
+uniform uint count;
+
+void main() {
+    uint k = gl_GlobalInvocationID.x;
+    if (k >= count || surfels[k].facing.w != number) return;
+    vec4 texel = surfels[k].texel;
+    float cover = textureLod(covered, vec3(texel.xy, LAYERS), texel.z).x;
+    for (int l = 0; l < LAYERS; ++l)
+        radiances[k * LAYERS + l] = textureLod(covered, vec3(texel.xy, l), texel.z) / max(cover, 1e-6);
+}

@@ -1,0 +1,156 @@
+"""Measure deep screen space: python tests/benchmarks/shell_splat.py [SCENE]
+
+Fragments a second of the splats, beside those of a shader that only writes one colour into the same targets; what a
+surfel costs, from thousands to hundreds of thousands of them; and the memory that the passes take at 768 x 512, atlases
+and meshes apart. Medians of 5, in turns. Nalbach, Ritschel and Seidel (2014, 2015) report 84 MB.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from statistics import median
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from phoslab.render import TransportParameters, load_scene
+from phoslab.render.bounced_z_buffer import BouncedZBuffer
+from phoslab.render.deep_screen_space import DeepScreenSpace
+from phoslab.render.device import Device, source
+from phoslab.render.renderer import Renderer, RenderParameters
+from phoslab.render.surfels import View, surfelize
+from phoslab.sample_data.make_scenes import SCENES
+
+RUNS = 5
+SIZE = (768, 512)
+PLAIN = """#version 430
+layout(location = 0) out vec4 light[LAYERS];
+void main() { for (int l = 0; l < LAYERS; ++l) light[l] = vec4(1e-6); }
+"""
+
+
+def taken(device: Device, run: Callable[[], Any]) -> float:
+    """Return how long `run` takes, in s."""
+    device.ctx.finish()
+    start = time.perf_counter()
+    run()
+    device.ctx.finish()
+    return time.perf_counter() - start
+
+
+def held_bytes(device: Device) -> int:
+    """Return the bytes of all textures and buffers of a device."""
+    total = 0
+    for scope in device._scopes:
+        for thing in scope.made:
+            if isinstance(thing, moderngl.Buffer):
+                total += thing.size
+            elif isinstance(thing, moderngl.Texture | moderngl.TextureArray):
+                layers = getattr(thing, "layers", 1)
+                total += thing.width * thing.height * layers * thing.components * int(thing.dtype[-1])
+    return total
+
+
+def measure_fragments(device: Device, scene: Any) -> None:
+    renderer = Renderer(device, scene, RenderParameters(SIZE, 1, transport=TransportParameters("dss")))
+    renderer.frame(scene.schedule.parse_time("off+1s"))
+    dss = renderer.transport
+    plain = device.ctx.program(
+        vertex_shader=source("shell_splat.vert.glsl", {"LAYERS": dss._layers}),
+        fragment_shader=PLAIN.replace("LAYERS", str(dss._layers)),
+    )
+    bare = device.ctx.vertex_array(plain, [])
+    rates: dict[str, list[float]] = {"shells": [], "one colour": []}
+    dss.shells.shuffle(1)
+    with device.scope():
+        splats = dss.find_splats(1)
+        n = splats.fragments()
+        for _ in range(RUNS):
+            rates["shells"].append(n / taken(device, lambda: dss.splat(1, splats)))
+            plain["target_size"].value = dss.shells.size
+
+            def draw() -> None:
+                device.ctx.enable_only(moderngl.BLEND)
+                device.ctx.blend_func = moderngl.ONE, moderngl.ONE
+                bare.render(vertices=6 * splats.count)
+                device.ctx.enable_only(moderngl.NOTHING)
+
+            rates["one colour"].append(n / taken(device, draw))
+    for name, values in rates.items():
+        print(
+            f"{name:12} {median(values) / 1e6:8.1f} M fragments/s of {n / 1e6:.1f} M in {splats.count} splats"
+        )
+    bare.release()
+    plain.release()
+
+
+def measure_surfels(device: Device, scene: Any) -> None:
+    print("surfels   surfelize   splat: us a surfel, with as many fragments each")
+    for radius in (0.02, 0.0063, 0.002):
+        with device.scope():
+            parameters = TransportParameters("dss", surfel=radius, epsilon=0.05)
+            renderer = Renderer(device, scene, RenderParameters(SIZE, 1, transport=parameters))
+            renderer.frame(scene.schedule.parse_time("off+1s"))
+            dss = renderer.transport
+            view = View.of(scene.camera, dss.extent, radius)
+            drawables = [d for d in renderer.drawables if d.material is not None]
+            made, drawn, fragments = [], [], 1
+            for _ in range(RUNS):
+                with device.scope():
+                    made.append(taken(device, partial(surfelize, device, drawables, dss.extent, view)))
+                dss.shells.shuffle(1)
+                with device.scope():
+                    splats = dss.find_splats(1)
+                    fragments = splats.fragments()
+                    drawn.append(taken(device, partial(dss.splat, 1, splats)))
+            n = dss.surfels.count
+            print(
+                f"{n:8d} {median(made) / n * 1e6:9.2f} {median(drawn) / n * 1e6:9.2f} {fragments / n:9.1f} fragments"
+            )
+
+
+def measure_memory(scene: Any) -> None:
+    """The most that is held at once: in dss while a level is drawn, in dss-z while a level's hits are found."""
+    peak = 0
+
+    def watched(step: Callable[..., Any]) -> Callable[..., Any]:
+        def run(self: Any, *args: Any) -> Any:
+            nonlocal peak
+            peak = max(peak, held_bytes(self._device))
+            return step(self, *args)
+
+        return run
+
+    DeepScreenSpace.splat = watched(DeepScreenSpace.splat)  # type: ignore[method-assign]
+    BouncedZBuffer._find_hits = watched(BouncedZBuffer._find_hits)  # type: ignore[method-assign]
+    for method, directions in (("dss", 1), ("dss-z", 4)):
+        held = {}
+        for name in ("none", method):
+            peak = 0
+            with Device() as device:
+                transport = TransportParameters(name, directions=directions)
+                renderer = Renderer(device, scene, RenderParameters(SIZE, 1, transport=transport))
+                renderer.frame(scene.schedule.parse_time("off+1s"))
+                atlases = sum(
+                    int(np.prod(glow.radiance.size)) * 16 * (1 + 4 / 3 * 2) for glow in renderer.glows
+                )
+                held[name] = max(peak, held_bytes(device)) - int(atlases)
+        megabytes = (held[method] - held["none"]) / 1e6
+        print(f"{method:6} {scene.transport.n} bands {megabytes:6.1f} MB at {SIZE[0]} x {SIZE[1]}")
+
+
+def main(name: str = "cornell") -> None:
+    scene = load_scene(SCENES / name)
+    with Device() as device:
+        print(device.renderer)
+        measure_fragments(device, scene)
+        measure_surfels(device, scene)
+    measure_memory(scene)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

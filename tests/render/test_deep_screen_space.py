@@ -1,0 +1,278 @@
+"""Deep screen space without and with the bounced z-buffer: closed forms, and what must change nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phoslab.render import TransportParameters, load_scene, render
+from phoslab.render.device import read_array, read_texture
+from phoslab.render.renderer import Renderer, RenderParameters
+from phoslab.sample_data.make_scenes import SCENES
+
+SIZE = (64, 64)
+
+
+def lit(path, method="dss", *, times=("0",), size=SIZE, supersampling=1, **parameters):
+    transport = TransportParameters(method, **parameters)
+    frames = render(path, [*times], size=size, supersampling=supersampling, transport=transport)
+    return frames[0].radiance.astype(np.float64) if len(frames) == 1 else frames
+
+
+def transport_of(device, path, method="dss", size=SIZE, **parameters):
+    scene = load_scene(path) if not hasattr(path, "camera") else path
+    renderer = Renderer(
+        device, scene, RenderParameters(size, 1, transport=TransportParameters(method, **parameters))
+    )
+    renderer.frame(0.0)
+    return renderer, renderer.transport
+
+
+def disks_ratio(path, rooms, method, **parameters):
+    L = lit(path, method, **parameters)
+    return L[L.max(axis=-1) > 0].mean(axis=0) / (rooms.form_factor() * np.array([1.0, 2.0, 4.0]))
+
+
+def test_facing_disks_exchange_their_form_factor(build, rooms):
+    """Within 1 %: the disks are thousands, and each adds its own."""
+    np.testing.assert_allclose(disks_ratio(rooms.facing_disks(build).write(), rooms, "dss"), 1.0, rtol=0.01)
+
+
+def test_what_is_missing_falls_as_levels_rise(build, rooms):
+    """Each level reaches twice as far: with too few, light from afar is lost."""
+    path = rooms.closed_box(build).write()
+    error = [abs(lit(path, levels=n).mean() - 0.75) for n in (2, 4, 7)]
+    assert error[0] > 1.3 * error[1] > 5 * error[2]
+
+
+def test_smaller_epsilon_is_nearer_to_the_form_factor(build, rooms):
+    path = rooms.facing_disks(build).write()
+    coarse, fine = (np.abs(disks_ratio(path, rooms, "dss", epsilon=e) - 1).max() for e in (0.3, 0.003))
+    assert fine < coarse / 4
+
+
+def test_large_surfels_miss_more(build, rooms):
+    path = rooms.closed_box(build).write()
+    coarse, fine = (abs(lit(path, surfel=r).mean() - 0.75) for r in (0.15, 0.02))
+    assert fine < coarse / 2
+
+
+@pytest.mark.parametrize(("method", "within"), [("dss", 0.02), ("dss-z", 0.05)])
+@pytest.mark.parametrize("supersampling", [1, 2])
+def test_closed_box_of_albedo_and_emission_one_half_reads_three_quarters(
+    build, rooms, method, within, supersampling
+):
+    """Without visibility nothing else differs in a convex room; with it, holes between the disks are left."""
+    L = lit(rooms.closed_box(build).write(), method, supersampling=supersampling)
+    assert L.mean() == pytest.approx(0.75, rel=within)
+
+
+def test_energy_that_arrives_at_the_walls_is_what_was_sent(build, rooms, device):
+    """One wall of a cube glows, all are white: over six views from the middle, E of each pixel times its area of wall.
+
+    A pixel at direction d sees r² dω / cos of wall; π L is E. Sent are π times 1 over an area of 4, all of it to
+    the other five walls. 2 %: what the point-to-disk form factor leaves out in the corners.
+    """
+    x = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1]], dtype=float)
+    shape = rooms.box((-1, -1, -1), (1, 1, 1))
+    build.mesh("lamp", x, np.array([[0, 1, 2], [0, 2, 3]]), uv=x[:, :2] / 2.1 + 0.5)
+    turned = shape.triangles[:, ::-1]
+    away = ~(shape.positions[turned][:, :, 2] < -0.99).all(axis=1)
+    build.mesh("walls", shape.positions, turned[away], uv=None).camera(distance=0.5, yfov=np.pi / 2)
+    build.text(rooms.write_material(build, "lamp", [1.0] * 3, [1.0] * 3) + rooms.SATURATED)
+    scene = load_scene(build.write())
+    arrived = 0.0
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            turn = np.roll(np.eye(3), axis, axis=1)[[1, 2, 0]] * [[1], [sign], [sign]]
+            view = np.eye(4)
+            view[:3, :3] = turn
+            turned_scene = replace(scene, camera=replace(scene.camera, world_to_view=view))
+            renderer, transport = transport_of(device, turned_scene)
+            E = np.pi * transport.surfel_glow.glow * read_array(transport._pixels.light, 3)[..., 0]
+            p = read_texture(renderer.gbuffer.position_w)[..., :3]
+            n = read_texture(renderer.gbuffer.normal_w)[..., :3]
+            r = np.linalg.norm(p, axis=-1)
+            k = (np.arange(SIZE[0]) + 0.5) / SIZE[0] * 2 - 1
+            a, b = np.meshgrid(k, k)
+            solid_angle = (2 / SIZE[0]) ** 2 * (1 + a**2 + b**2) ** -1.5
+            cosine = np.abs(np.sum(p * n, axis=-1)) / r
+            arrived += float(np.sum(E * r**2 * solid_angle / cosine))
+    assert arrived == pytest.approx(np.pi * 4.0, rel=0.02)
+
+
+@pytest.mark.parametrize("size", [(64, 64), (37, 23)])
+@pytest.mark.parametrize("level", [0, 1, 3, 5])
+def test_unshuffling_undoes_shuffling(device, build, rooms, size, level):
+    """What pixels see, to the sub-buffers and back, bit by bit; and each pixel lies there once."""
+    renderer, dss = transport_of(device, rooms.closed_box(build).write(), size=size, levels=6)
+    seen = read_texture(renderer.gbuffer.position_w)
+    dss.shells.shuffle(level)
+    dss._targets[0].write(dss.shells.position.read())
+    dss._pixels.clear()
+    dss._unshuffle(level)
+    back = read_array(dss._pixels.light, 4)
+    extent = dss.extent
+    np.testing.assert_allclose(back[..., :3] * extent.radius + extent.centre, seen[..., :3], atol=1e-6)
+    assert (back[..., 3] == 1).all()
+    blocks = -(-np.array(size) // 2**level) * 2**level
+    shuffled = read_texture(dss.shells.position)[: blocks[1], : blocks[0]]
+    assert (shuffled[..., 3] == 1).sum() == size[0] * size[1]
+    if level and min(size) >> level:
+        # The first sub-buffer does not always have the same pixel of a block.
+        first = shuffled[: size[1] >> level, : size[0] >> level, :3]
+        regular = back[:: 1 << level, :: 1 << level, :3][: first.shape[0], : first.shape[1]]
+        assert (first != regular).any(axis=-1).sum() >= 0.3 * first.shape[0] * first.shape[1]
+
+
+@pytest.mark.parametrize("name", ["cornell", "corridor"])
+@pytest.mark.parametrize("method", ["dss", "dss-z"])
+def test_culling_changes_no_pixel(device, name, method):
+    """Against every splat drawn all over its sub-buffer: bit by bit, since what is added has its place."""
+    renderer, transport = transport_of(
+        device, SCENES / name, method, (48, 48), surfel=0.05, epsilon=0.05, directions=2
+    )
+    radiance = renderer.direct_light.radiance
+
+    def light():
+        transport.prepare()
+        transport.run(radiance)
+        return read_array(transport._pixels.light, renderer.scene.transport.n)
+
+    renderer.frame(renderer.scene.schedule.parse_time("off+1s"))
+    culled = light()
+    type(transport).shells_culled = False
+    try:
+        full = light()
+    finally:
+        type(transport).shells_culled = True
+    assert culled.max() > 0
+    np.testing.assert_array_equal(culled, full)
+
+
+def test_cost_follows_what_glows_and_not_the_scene(device, build, rooms):
+    """A glowing quad among 200,000 triangles that do not: as many surfels and splats as without them."""
+    counts = []
+    for bystanders in (False, True):
+        here = type(build)(build.folder)
+        here.mesh("lamp", np.array([[-1.0, -1, -2], [1, -1, -2], [1, 1, -2], [-1, 1, -2]]))
+        here.mesh("floor", np.array([[-3.0, -1, -3], [3, -1, -3], [3, -1, 3], [-3, -1, 3]]), uv=None)
+        if bystanders:
+            rng = np.random.default_rng(0)
+            corner = rng.uniform([-3, -1, -3], [3, 1, 3], (10_000, 1, 3))
+            soup = (corner + rng.uniform(0, 0.01, (10_000, 3, 3))).clip(-3, 3).reshape(-1, 3)
+            for k in range(20):
+                here.mesh(f"soup{k}", soup, np.arange(len(soup)).reshape(-1, 3), uv=None)
+        here.camera(distance=3.0, yfov=0.8)
+        here.text(rooms.write_material(here, "lamp", [1.0] * 3, [1.0] * 3) + rooms.SATURATED)
+        _, dss = transport_of(device, here.write())
+        with device.scope():
+            counts.append(
+                (dss.surfels.count, sum(dss.find_splats(k).count for k in range(dss.shells.levels)))
+            )
+    assert counts[0][0] > 500
+    assert counts[1] == counts[0] or abs(counts[1][0] / counts[0][0] - 1) < 0.02
+
+
+def test_what_has_faded_by_six_decades_is_lit_as_well():
+    """The picture is the earlier one times a factor: float32 rounds what is added, but the shells stay."""
+    frames = lit(SCENES / "occluder", times=("0", "95"))
+    bright, dim = (frame.radiance.astype(np.float64).sum(axis=-1) for frame in frames.frames)
+    there = bright > 0
+    factor = dim.max() / bright.max()
+    assert factor < 1e-6
+    np.testing.assert_allclose(dim[there] / bright[there], factor, rtol=1e-4)
+
+
+def test_what_is_behind_the_crate_is_dark_only_with_visibility():
+    """Inside, where no line from the panel enters: `dss` leaks, and with the z-buffer less than 1 % of that is left."""
+    leaked, shadowed = (
+        lit(SCENES / "occluder", m, size=(96, 96), directions=4)[inside((96, 96))].mean()
+        for m in ("dss", "dss-z")
+    )
+    assert leaked > 0
+    assert shadowed < 0.01 * leaked
+
+
+def inside(size):
+    """Return the pixels, top row first, on the inner walls of the crate."""
+    from phoslab.render.device import Device
+    from phoslab.sample_data import scene_occluder
+
+    with Device() as device:
+        renderer = Renderer(device, load_scene(SCENES / "occluder"), RenderParameters(size, 1))
+        p = read_texture(renderer.gbuffer.position_w)[::-1, :, :3]
+    low = np.array(scene_occluder.LOW) + np.array([1, 0, 1]) * scene_occluder.WALL
+    high = np.array(scene_occluder.HIGH) - np.array([1, 1, 2]) * scene_occluder.WALL
+    return ((p > low - 1e-4) & (p < high + 1e-4)).all(axis=-1) & (p[..., 1] > 1e-3)
+
+
+def test_directions_are_those_of_a_lambertian_times_the_cosine(device, build, rooms):
+    """Chi-squared of cos² and the angle around the normal, 6 x 6 equal parts of cos / π, over one pattern of pixels on
+    each of three walls: at random, 35 degrees of freedom pass 57.3 once in a hundred times; even ones lie far below."""
+    scene = load_scene(rooms.closed_box(build).write())
+    wide = replace(scene, camera=replace(scene.camera, yfov_rad=2.6))
+    renderer, z = transport_of(device, wide, "dss-z", directions=16, filter_px=8, surfel=0.1, epsilon=0.3)
+    d, n = z.directions(), read_texture(renderer.gbuffer.normal_w)[..., :3].astype(np.float64)
+    assert np.sum(d * n[:, :, None], axis=-1).min() > -1e-3
+    normals = set()
+    for row, column in ((28, 28), (28, 8), (52, 28)):
+        normal = n[row, column]
+        normals.add(tuple(normal))
+        assert (n[row : row + 8, column : column + 8] == normal).all()
+        chosen = d[row : row + 8, column : column + 8].reshape(-1, 3)
+        x = np.cross(normal, [0.3, 0.5, 0.8])
+        x /= np.linalg.norm(x)
+        turn = np.arctan2(chosen @ np.cross(normal, x), chosen @ x) / (2 * np.pi) % 1.0
+        counts = np.histogram2d((chosen @ normal) ** 2, turn, bins=6, range=[[0, 1], [0, 1]])[0]
+        expected = len(chosen) / counts.size
+        assert np.sum((counts - expected) ** 2) / expected < 57.3
+    assert len(normals) == 3
+
+
+def test_a_hit_is_the_nearest_disk_of_its_shell(device, build, rooms):
+    """Each pixel's directions against all surfels of its sub-buffer, in NumPy, on level 0: front, back or nothing."""
+    renderer, z = transport_of(
+        device, rooms.facing_disks(build).write(), "dss-z", (32, 32), levels=1, surfel=0.1, directions=2
+    )
+    from phoslab.render.bounced_z_buffer import INFLATION
+
+    surfel, _ = z.hits()
+    disks = z.surfels.read().astype(np.float64)
+    seen = read_texture(renderer.gbuffer.position_w)
+    p = (seen[..., None, :3] - z.extent.centre) / z.extent.radius
+    d = z.directions()
+    centre, r, normal = disks[:, :3], disks[:, 3], disks[:, 4:7]
+    height = np.einsum("hwdk,nk->hwdn", -p, normal) + np.sum(centre * normal, axis=1)
+    with np.errstate(divide="ignore"):
+        t = height / np.einsum("hwdk,nk->hwdn", d, normal)
+    hit = p[..., None, :] + t[..., None] * d[..., None, :]
+    away = np.linalg.norm(hit - centre, axis=-1)
+    t[(t < 0.05) | ~(away < INFLATION * r)] = np.inf
+    there = (seen[..., 3] > 0)[..., None] & np.ones(2, dtype=bool)
+    found = np.isfinite(t.min(axis=-1))
+    assert ((surfel >= 0) == found)[there].mean() > 0.998
+
+
+def test_views_are_those_of_the_method(tmp_path, capsys):
+    from phoslab.app.cli import main
+
+    args = ["render", str(SCENES / "occluder"), "-o", str(tmp_path / "a.png"), "--at", "0", "--size", "24x24"]
+    views = "surfels,levels,shells,directions,hits"
+    quick = ["--surfel", "0.1", "--epsilon", "0.1"]
+    assert main([*args, "--gi", "dss-z", "--directions", "2", "--debug", views, *quick]) == 0
+    assert {p.name.split(".")[2] for p in tmp_path.glob("a.glow_transport.*.png")} == set(views.split(","))
+    capsys.readouterr()
+    assert main([*args, "--gi", "dss", "--debug", "hits", *quick]) == 1
+    assert "directions and hits are those of dss-z" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("method", ["dss", "dss-z"])
+def test_preparing_again_keeps_no_more_on_the_device(device, method):
+    """As after every move of the camera or of a thing."""
+    _, transport = transport_of(device, SCENES / "occluder", method, (24, 24), surfel=0.1, epsilon=0.1)
+    before = device.live
+    transport.prepare()
+    assert device.live == before
