@@ -27,11 +27,11 @@ def test_closed_box_reads_one_minus_a_power_of_two(build, rooms, bounces):
 
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="needs phoslab[reference]")
 def test_two_bounces_agree_with_the_path_tracer(tmp_path):
-    """What the second reflection adds in the Cornell box, as a share of what the first does, on the mean of the picture:
-    so small a picture's edges, sampled at random there and on a grid here, are then alike in both.
+    """What the second reflection adds in the Cornell box, as a share of what the first does, on the mean of the
+    picture: so small a picture's edges, sampled at random there and on a grid here, are then alike in both.
 
-    With 48² pixels x 1024 paths the two agree to 0.4 % in this. Here 32² pixels x 256 paths, whose light has a deviation
-    of some 5 times its mean, leave 1 %: three of these, and that, in each of two sums.
+    With 48² pixels x 1024 paths the two agree to 0.4 % in this. Here 32² pixels x 256 paths, whose light has a
+    deviation of some 5 times its mean, leave 1 %: three of these, and that, in each of two sums.
     """
     toml = (SCENES / "cornell" / "scene.toml").read_text(encoding="utf-8")
     (tmp_path / "scene.toml").write_text(toml.replace("[render]\n", "[render]\nbands_nm = [400, 550, 700]\n"))
