@@ -71,7 +71,7 @@ def test_after_the_last_key_and_in_the_dark_no_step_is_taken(carried, device, mo
 
     excited = []
     excite = PhosphorState.excite
-    monkeypatch.setattr(PhosphorState, "excite", lambda self: (excited.append(1), excite(self)))
+    monkeypatch.setattr(PhosphorState, "excite", lambda self, *a: (excited.append(1), excite(self, *a)))
     renderer = Renderer(
         device, load_scene(carried.write()), RenderParameters((8, 8), 1, Stepping(step_s=0.25))
     )
