@@ -226,7 +226,7 @@ def _proportional(claim: str, groups: Sequence[list[tuple[Array, Array]]], need:
     chi2, dof, n_lonely = 0.0, 0, 0
     off, noise = [], []
     for lights in groups:
-        y, sigma = (np.stack([light[k] for light in lights]) for k in (0, 1))  # (n, n_k, 3)
+        y, sigma = (np.stack(parts) for parts in zip(*lights, strict=True))  # (n, n_k, 3)
         used = np.isfinite(sigma).all(axis=0)
         for _ in range(2):
             scale, profile = _rank_one(y[:, used], sigma[:, used])
@@ -237,7 +237,7 @@ def _proportional(claim: str, groups: Sequence[list[tuple[Array, Array]]], need:
             used &= ~lonely
         z = z[:, used]
         chi2 += float((z**2).sum())
-        dof += z.size - z.shape[0] - z.shape[1] + 1
+        dof += (len(lights) - 1) * (int(used.sum()) - 1)
         # As a share of each light's own root mean square: faint ends do not count for more than they are.
         typical = scale[:, None] * np.sqrt(np.mean(profile**2))
         off.append((z * sigma[:, used] / typical).ravel())

@@ -189,3 +189,15 @@ def test_a_trade_leaves_a_page_tables_plots_and_data(tmp_path):
     assert data["schema"] == "phoslab-trade/1"
     assert data["costs"] == [1.5]
     assert data["machine"]["cores"] >= 1
+
+
+def test_what_answers_to_noise_is_taken_off_a_bias_without_moving_it():
+    draws = fit_draws.Draws()
+    # A weighted fit of exact σ, whose error is the first-order answer and little else: next to nothing is left.
+    calm = fit_draws.Situation("calm", fit_draws.USUAL.draw, np.full((37, 3), fit_draws.USUAL.sigma**2))
+    bias, error = draws.bias(calm, fit_draws.our_rates, 12)
+    assert (error < 0.1 * fit_draws.USUAL.bound / fit_draws.USUAL.kr).all()
+    assert (np.abs(bias) < 1e-3).all()
+    # Rates that are wrong by a constant stay so.
+    bias, _ = draws.bias(calm, lambda d: 1.05 * fit_draws.our_rates(d), 12)
+    assert bias == pytest.approx(0.05, abs=2e-3)

@@ -35,7 +35,7 @@ class Sizes:
     runs: int
 
 
-FULL = Sizes(success=1000, peer=100, coverage=4000, states=200, clipped=500, electrons=4000, runs=5)
+FULL = Sizes(success=1000, peer=100, coverage=4000, states=200, clipped=200, electrons=400, runs=5)
 QUICK = Sizes(success=100, peer=4, coverage=60, states=3, clipped=10, electrons=30, runs=1)
 
 
@@ -101,7 +101,7 @@ def _questions(sizes: Sizes, peers: list[Peer]) -> list[Question]:
         Question(sizes.success + sizes.peer * len(_STARTS) * len(peers), 30, partial(_success, sizes, peers)),
         Question(sizes.runs * len(_PLACES), 400, partial(_charging, sizes.runs)),
         Question(2 * sizes.coverage, 20, partial(_coverage, sizes.coverage)),
-        Question(2 * (sizes.clipped + sizes.electrons), 60, partial(_biases, sizes)),
+        Question(2 * (sizes.clipped + sizes.electrons), 100, partial(_biases, sizes)),
         Question(len(COUNTED) * sizes.states, 700, partial(_states, sizes.states)),
     ]
 
@@ -160,19 +160,12 @@ def _biases(sizes: Sizes, draws: Draws) -> Part:
     ours, plain = fit_draws.whole_rates, fit_draws.our_rates
     return fit_page.biases(
         [
-            Bias(name, words, n, *draws.bias(make, fit, n))
-            for name, make, fit, words, n in (
-                ("first value clipped at 80 %", USUAL.clipped, ours, "phoslab", sizes.clipped),
-                ("first value clipped at 80 %", USUAL.clipped, plain, "first value kept", sizes.clipped),
-                ("200 electrons at the peak", USUAL.electrons, ours, "phoslab", sizes.electrons),
-                (
-                    "200 electrons at the peak",
-                    USUAL.electrons,
-                    plain,
-                    "weights from the data",
-                    sizes.electrons,
-                ),
+            Bias(situation.name, words, n, *draws.bias(situation, fit, n))
+            for situation, rival, n in (
+                (fit_draws.CLIPPED, "first value kept", sizes.clipped),
+                (fit_draws.ELECTRONS, "weights from the data", sizes.electrons),
             )
+            for words, fit in (("phoslab", ours), (rival, plain))
         ]
     )
 

@@ -268,7 +268,8 @@ def biases(rows: Sequence[Bias]) -> Part:
     answer = "Bias: " + "; ".join(f"{r.name}: {_signed(r)}" for r in ours) + "."
     text = [
         "Two states, 37 values in three channels. What a camera states as the noise of a value comes from the value "
-        "itself, and favours those that fluctuated downwards; phoslab takes it from its own model instead."
+        "itself, and favours those that fluctuated downwards; phoslab takes it from its own model instead. "
+        "What of an error answers to noise in the first order has a mean of 0 and is taken off as a control variate."
     ]
     data = [{**vars(r), "bias": r.bias.tolist(), "error": r.error.tolist()} for r in rows]
     return Part(answer, Section("Are rates right in the mean?", text, [table]), {"bias": data})
