@@ -447,8 +447,10 @@ def _first_colour(data: DecayData) -> Array:
 def rate_limits(data: DecayData) -> tuple[float, float]:
     """Return the rates in 1/s between which a search begins: a tenth of 1 / duration, and 3 / first step."""
     duration = data.end_s - min(0.0, float(data.t_s.min()))
-    steps = np.diff(np.sort(data.t_s))
-    steps = steps[steps > 0]
+    t = np.sort(data.t_s)
+    steps = np.diff(t)
+    # Late values that almost coincide (of two runs in one table) tell nothing of fast rates.
+    steps = steps[steps > 0.01 * (t[1:] - t[0])]
     # The first steps are the short ones of a series spaced by logarithm.
     step = float(np.median(steps[: max(3, steps.size // 4)])) if steps.size else duration
     return 0.1 / duration, 3 / max(step, duration * 1e-6)
@@ -477,7 +479,7 @@ def _starting_rates(stated: Problem) -> list[Array]:
     # Normal equations of all combinations at once; only their ranking matters here, not their digits.
     normal, right = g.T @ g, g.T @ series
     A = normal[chosen[:, :, None], chosen[:, None, :]]
-    A = A + 1e-10 * np.eye(n_states) * np.trace(A, axis1=1, axis2=2)[:, None, None]
+    A = A + np.eye(n_states) * (1e-10 * np.trace(A, axis1=1, axis2=2)[:, None, None] + np.finfo(float).tiny)
     x = np.linalg.solve(A, right[chosen][:, :, None])[:, :, 0]
     explained = (right[chosen] * x).sum(axis=1)
     explained[(x < 0).any(axis=1)] = -np.inf

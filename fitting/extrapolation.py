@@ -9,8 +9,9 @@ constant light of the sample from one of the room.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,34 @@ class Beyond:
     low: Array
     high: Array
     inside: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as JSON takes it."""
+        band = np.stack([self.low, self.high], axis=1)
+        return {"t_s": self.t_s, "value": self.value.tolist(), "band95": band.tolist()}
+
+
+def lines(beyonds: Sequence[Beyond], channels: Sequence[str]) -> list[str]:
+    """Return them as text for people, one line each and one above."""
+    if not beyonds:
+        return []
+    text = ["[[at other times: value, and the band of 95 % that the data allow]]"]
+    for b in beyonds:
+        cells = ", ".join(
+            f"{c} {v:.4g} ({lo:.3g} .. {hi:.3g})"
+            for c, v, lo, hi in zip(channels, b.value, b.low, b.high, strict=True)
+        )
+        text.append(f"  {b.t_s:g} s: {cells}{'' if b.inside else '   beyond the data'}")
+    return text
+
+
+def warnings(beyonds: Sequence[Beyond], end_s: float) -> list[str]:
+    """Return a sentence on each that lies beyond the data, which end at `end_s`."""
+    return [
+        f"extrapolated: {b.t_s:g} s lies beyond the data, which end at {end_s:.4g} s; only the band is supported."
+        for b in beyonds
+        if not b.inside
+    ]
 
 
 def beyond(fit: DecayFit, t_s: float) -> Beyond:

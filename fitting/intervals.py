@@ -141,10 +141,13 @@ def bootstrap_intervals(fit: DecayFit, n_draws: int, seed: int, level: float = 0
     rng = np.random.default_rng(seed)
     data = fit.data
     model = fit.predict(data.t_s, data.exposure_s)
-    noise = np.where(data.used, data.total_sigma, 0.0) * np.sqrt(decay.misfit(fit.chi2, fit.dof))
+    wider = np.sqrt(decay.misfit(fit.chi2, fit.dof))
+    own = np.where(data.used, data.sigma, 0.0) * wider
+    shared = data.repeatability * model * wider  # of a whole frame
     rates = np.empty((n_draws, fit.n_states))
     for k in range(n_draws):
-        drawn = replace(data, signal=model + noise * rng.standard_normal(model.shape))
+        frame = shared * rng.standard_normal((len(model), 1))
+        drawn = replace(data, signal=model + own * rng.standard_normal(model.shape) + frame)
         stated = decay.problem(drawn, fit.n_states, offset=fit.has_offset, rank_one=fit.rank_one)
         rates[k] = np.exp(np.sort(stated.solve(fit.theta, polish=False).theta[: fit.n_states])[::-1])
     tail = 50 * (1 - level)

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 # A first value is taken for clipped if it costs the fit this much chi², and lies below the others' course.
 _CLIPPED = 25.0
 _MOST_CLIPPED = 3
+# Squares of values, over squares of their errors, must stay within what float64 holds.
+_LEAST, _MOST = 1e-60, 1e60
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def screen(table: DecayTable) -> Screened:
             flags.append(f"not-a-number: {missing.sum()} values of {name} are missing and left out.")
         sigma[missing | bad_sigma, c] = np.inf
         signal[missing, c] = 0.0
-        clipped = _plateau(signal[:, c], np.isfinite(sigma[:, c]))
+        clipped = _plateau(t, signal[:, c], np.isfinite(sigma[:, c]))
         if clipped:
             flags.append(
                 f"saturated: the first {clipped} values of {name} are all at its largest, "
@@ -104,14 +106,14 @@ def screen(table: DecayTable) -> Screened:
     return Screened(data, bool(given[kept].all()), tuple(flags), lost)
 
 
-def _plateau(values: Array, used: NDArray[np.bool_]) -> int:
-    """Return how many values at the start equal the largest, if more than one does and the rest falls."""
+def _plateau(t: Array, values: Array, used: NDArray[np.bool_]) -> int:
+    """Return how many values at the start equal the largest, if they are of several times and the rest falls."""
     seen = values[used]
     if seen.size < 4 or seen.min() == seen.max():
         return 0
     at_limit = values == seen.max()
     run = int(np.argmin(at_limit)) if not at_limit.all() else values.size
-    return run if run > 1 else 0
+    return run if run > 1 and t[run - 1] > t[0] else 0
 
 
 def _no_decay(t: Array, values: Array, sigma: Array) -> str | None:
@@ -122,6 +124,8 @@ def _no_decay(t: Array, values: Array, sigma: Array) -> str | None:
         return "holds no usable value"
     if (v == 0).all():
         return "is zero throughout: nothing glows"
+    if not _LEAST <= np.abs(v).max() <= _MOST:
+        return f"has a largest value of {np.abs(v).max():.3g}, whose square no computer holds: give it in another unit"
     if (v <= 0).all():
         return "is negative throughout: no light has that; check its sign and the dark value"
     if np.median(v) < 0 and v.max() < 3 * -v.min():

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting import decay, noise
+from phoslab.fitting import decay, extrapolation, noise
 from phoslab.fitting.decay import MOST_STATES, DecayData, DecayFit, fit_decay
-from phoslab.fitting.extrapolation import Beyond, beyond
+from phoslab.fitting.extrapolation import Beyond
 from phoslab.fitting.intervals import bootstrap_intervals, rate_intervals
 from phoslab.fitting.other_laws import OtherLaw, fit_other_laws
 from phoslab.fitting.screening import Screened, clipped_start, screen
@@ -98,10 +98,7 @@ class TableFit:
             "other_laws": [
                 {"law": o.name, **o.parameters, "chi2": o.chi2, "AICc": o.aicc} for o in self.other_laws
             ],
-            "extrapolated": [
-                {"t_s": b.t_s, "value": _plain(b.value), "band95": _plain(np.stack([b.low, b.high], axis=1))}
-                for b in self.extrapolated
-            ],
+            "extrapolated": [b.to_dict() for b in self.extrapolated],
             "lost": self.lost,
             "flags": list(self.flags),
         }
@@ -196,12 +193,8 @@ def fit_screened(
         if o.aicc < fit.aicc - 2
     ]
     valid = (float(data.t_s.min()), data.end_s)
-    beyonds = tuple(beyond(fit, t) for t in extrapolate_s)
-    flags += [
-        f"extrapolated: {b.t_s:g} s lies beyond the data, which end at {valid[1]:.4g} s; only the band is supported."
-        for b in beyonds
-        if not b.inside
-    ]
+    beyonds = tuple(extrapolation.beyond(fit, t) for t in extrapolate_s)
+    flags += extrapolation.warnings(beyonds, valid[1])
     return TableFit(
         fit=fit,
         selection=selection,

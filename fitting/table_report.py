@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from phoslab.fitting import extrapolation
 from phoslab.fitting.table_fit import TableFit
 
 
@@ -55,14 +56,7 @@ def report(result: TableFit, name: str) -> str:
         for o in result.other_laws:
             values = ", ".join(f"{k} = {v:.4g}" for k, v in o.parameters.items())
             lines.append(f"  {o.name:22}  {values}   chi-square {o.chi2:.5g}, AICc {o.aicc:.5g}")
-    if result.extrapolated:
-        lines.append("[[at other times: value, and the band of 95 % that the data allow]]")
-        for b in result.extrapolated:
-            cells = ", ".join(
-                f"{c} {v:.4g} ({lo:.3g} .. {hi:.3g})"
-                for c, v, lo, hi in zip(data.channels, b.value, b.low, b.high, strict=True)
-            )
-            lines.append(f"  {b.t_s:g} s: {cells}{'' if b.inside else '   beyond the data'}")
+    lines += extrapolation.lines(result.extrapolated, data.channels)
     lines.append(f"  valid from {result.valid_s[0]:.4g} s to {result.valid_s[1]:.4g} s after lamp-off")
     if result.flags:
         lines.append("[[warnings]]")

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import glob
 import json
 import os
 import shutil
@@ -35,6 +36,9 @@ from phoslab.errors import PhoslabError
 from phoslab.files import sha256, umask, write_text
 from phoslab.instruments.devices import Clock
 from phoslab.session import SCHEMA, Session
+
+BEGUN_S = 60.0
+"""A session that has not got its journal in this time will not get one."""
 
 
 class SystemClock:
@@ -130,6 +134,7 @@ class Recorder:
         """Write the beginning under another name and rename it: a session is whole, with its first line, or absent."""
         target = self.path
         target.parent.mkdir(parents=True, exist_ok=True)
+        sweep(target)
         building = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
         try:
             building.chmod(0o777 & ~umask())
@@ -409,6 +414,29 @@ def check_free(path: Path) -> None:
             file=path,
             remedy="Name a new folder: a session is never overwritten. phoslab resume goes on with an interrupted one.",
         )
+
+
+def sweep(target: Path) -> None:
+    """Remove what a writer left that was killed while it began the session `target`; nothing was recorded there yet.
+
+    What is in use, was begun a moment ago or holds anything else than a beginning stays.
+    """
+    for building in target.parent.glob(f".{glob.escape(target.name)}-????????"):
+        with contextlib.suppress(OSError, PhoslabError):
+            lines = building / "journal.jsonl"
+            if lines.exists():
+                handle = os.open(lines, os.O_RDONLY | os.O_NOFOLLOW)
+                try:
+                    lock(handle, building)
+                finally:
+                    os.close(handle)
+            elif time.time() - building.stat().st_mtime < BEGUN_S:
+                continue
+            with contextlib.suppress(FileNotFoundError):
+                (building / "frames").rmdir()  # first: it refuses if there is a frame
+            for file in (*building.glob("*session.toml*"), lines):
+                file.unlink(missing_ok=True)
+            building.rmdir()
 
 
 def lock(handle: int, path: Path) -> None:

@@ -1,8 +1,9 @@
 """Relay boards on a serial port, as lamps: LCUS-1 and KMTronic kind.
 
-They switch when told, answer nothing, and know no watchdog: whatever was said last holds until the power fails. So
+They switch when told, and know no watchdog: whatever was said last holds until the power fails. So
 they are used only if the rig file accepts that (`accept_no_failsafe`), and a guardian process switches the lamp off
-when this one dies or hangs. Nothing switches it off when the computer itself does, or the cable is pulled.
+when this one dies or hangs. Nothing switches it off when the computer itself does, or the cable is pulled. A KMTronic
+board can be asked how its relay stands, and is, whenever the lamp is read; an LCUS-1 board says nothing at all.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import os
 import socket
 import subprocess
 import sys
+import termios
 import threading
 import time
 from collections.abc import Callable
@@ -41,21 +43,24 @@ WRITE_S = 1.0
 """How long a command may take to get on the wire (see open_port); 4 ms is usual."""
 RELAY_S = 0.010
 """How long the armature of a small relay takes, at most."""
+ANSWER_S = 0.5
+"""How long a board may take to say how its relay stands; 6 ms is usual."""
 
 
 @dataclass(frozen=True)
 class Commands:
-    """What a kind of board wants to hear."""
+    """What a kind of board wants to hear; `ask` makes it answer with what would have switched it there, if it can."""
 
     baud: int
     on: bytes
     off: bytes
+    ask: bytes = b""
 
 
 KINDS = {
     # start byte, channel, state, sum of the three
     "lcus-1": Commands(9600, bytes.fromhex("A00101A2"), bytes.fromhex("A00100A1")),
-    "kmtronic": Commands(9600, bytes.fromhex("FF0101"), bytes.fromhex("FF0100")),
+    "kmtronic": Commands(9600, bytes.fromhex("FF0101"), bytes.fromhex("FF0100"), bytes.fromhex("FF0103")),
 }
 
 
@@ -222,8 +227,10 @@ class RelayLamp:
                 self._switch(False)
 
     def read(self) -> dict[str, Reading]:
-        """Measure nothing: say what the board was told last and when, and how far off that may be, in s."""
+        """Measure: how the board says that its relay stands, or what it was told last if it cannot say; since when,
+        and how far off that may be, in s."""
         self._check()
+        on = self._stands()
         clock = self._clock
         timestamp = clock.wall().timestamp() - (clock.mono_s() - self._since_s)
 
@@ -231,7 +238,7 @@ class RelayLamp:
             return Reading(value=value, unit=unit, timestamp=timestamp, mono_s=self._since_s, device_s=None)
 
         return {
-            self.name: reading("on" if self._on else "off", ""),
+            self.name: reading("on" if on else "off", ""),
             f"{self.name}_uncertainty": reading(self._uncertainty_s, "s"),
         }
 
@@ -269,13 +276,7 @@ class RelayLamp:
             self._on_trouble(late)
             raise late from error
         except (OSError, TypeError) as error:
-            gone = DeviceGoneError(
-                f"has gone from {self._port} ({error})",
-                field=self.name,
-                remedy="Look at the lamp: if it is on, pull its plug. Then plug the relay board in again.",
-            )
-            self._on_trouble(gone)
-            raise gone from error
+            raise self._gone(error) from error
         ended_s = self._clock.mono_s() + RELAY_S
         if on != self._on:
             self._since_s = (begun_s + ended_s) / 2
@@ -294,6 +295,40 @@ class RelayLamp:
             if time.monotonic() > until:
                 raise serial.SerialTimeoutException("not on the wire")
             time.sleep(0.001)
+
+    def _stands(self) -> bool:
+        """Ask the board whether it is on; of one that cannot say, what it was told last."""
+        with self._lock:
+            line, asks = self._line, self._commands.ask
+            if line is None or not asks:
+                return self._on
+            try:
+                line.reset_input_buffer()
+                line.write(asks)
+                answer, until = b"", time.monotonic() + ANSWER_S
+                while len(answer) < len(self._commands.on) and time.monotonic() < until:
+                    answer += line.read(len(self._commands.on) - len(answer))
+            except (OSError, TypeError, termios.error) as error:
+                raise self._gone(error) from error
+            if answer not in (self._commands.on, self._commands.off):
+                if answer:
+                    raise DeviceError(
+                        f"is switched by a board that says {answer.hex()!r} when it is asked how its relay stands",
+                        field=self.name,
+                        remedy=f"Is it a {self._kind} board? Correct the rig file.",
+                    )
+                raise DeviceTimeoutError(self.name, "say how its relay stands", ANSWER_S)
+            return answer == self._commands.on
+
+    def _gone(self, error: BaseException) -> DeviceGoneError:
+        """Keep, and tell, that the board is not there any more."""
+        gone = DeviceGoneError(
+            f"has gone from {self._port} ({error})",
+            field=self.name,
+            remedy="Look at the lamp: if it is on, pull its plug. Then plug the relay board in again.",
+        )
+        self._on_trouble(gone)
+        return gone
 
     def _tell_guardian(self, keep_s: float) -> None:
         """Say how long the lamp may stay on; notice that the guardian has died, or has had to switch off."""

@@ -15,9 +15,11 @@ import contextlib
 import math
 import shutil
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from statistics import median
 from typing import Any, Protocol
 
 import numpy as np
@@ -68,6 +70,9 @@ SLICE_S = 0.25
 
 LOOK_S = 5.0
 """How often a long wait looks at the lamp, in s of the real clock."""
+
+LAGS = 5
+"""From how many shutters it is learnt how long one takes to open."""
 
 LOST_IN_A_ROW = 5
 """So many lost frames in a row are no accident."""
@@ -148,7 +153,7 @@ class Runner:
         self._dark_since_s = self._began_s  # nobody knows what shone on the sample before
         self._lamp_on = False
         self._edges: dict[str, str] = {}
-        self._lag_s = 0.0
+        self._lags_s: deque[float] = deque(maxlen=LAGS)
         self._lost = 0
         self._looked = time.monotonic()
 
@@ -388,7 +393,9 @@ class Runner:
             self._exposure = exposure
         command = self.recorder.command("camera", "capture", {**asdict(exposure), "step": number})
         if step.at_s is not None:
-            self._wait(step.at_s - self._lag_s, f"until the next frame ({step.role})")
+            # The median: one shutter that opened late does not make the next one open early.
+            lag_s = median(self._lags_s) if self._lags_s else 0.0
+            self._wait(step.at_s - lag_s, f"until the next frame ({step.role})")
             late_s = self.recorder.mono_s() - step.at_s
             if step.late_s is not None and late_s > max(step.late_s, 0.1):
                 reply = f"left out: its moment passed {late_s:.1f} s ago"
@@ -423,7 +430,7 @@ class Runner:
             start_uncertainty_s=None if uncertainty is None else float(uncertainty["value"]),
             suffix=lab.camera.suffix,
         )
-        self._lag_s = min(max(start_s - triggered_s, 0.0), 1.0)
+        self._lags_s.append(min(max(start_s - triggered_s, 0.0), 1.0))
         path = self.recorder.path / "frames" / name
         lab.frame_bytes = max(path.stat().st_size, lab.frame_bytes if lab.frame_bytes < 10_000_000 else 0)
         level, saturated = measure_level(path)

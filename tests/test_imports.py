@@ -30,6 +30,7 @@ DEPENDENCIES = {
         "tomli_w",
         "gphoto2",
         "mitsuba",
+        "numba",
     ),
 }
 PARTS = {"phoslab.fitting", "phoslab.instruments", "phoslab.render", "phoslab.sample_data", "phoslab.shaders"}
@@ -94,6 +95,12 @@ MEASURE = {"phoslab.instruments"}
         (
             "fit SESSION --preset green -o m.json --report m.html",
             FIT | {"jinja2"},
+            {"phoslab.fitting"},
+        ),
+        # The only one that compiles.
+        (
+            "fit SESSION --preset green --per-pixel --bin 4 -o maps",
+            FIT | {"numba", "jinja2", "OpenEXR"},
             {"phoslab.fitting"},
         ),
         ("fit TABLE --json", FIT, {"phoslab.fitting"}),

@@ -43,6 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--card-frames", type=int, default=500, help="how many frames the card holds")
     parser.add_argument("--size", type=int, nargs=2, default=CANON.shape, help="rows and columns of a frame")
+    parser.add_argument("--session", help="the session that it serves")
     parser.add_argument("--temporary", action="store_true", help="remove the folder at the end")
     options = parser.parse_args(arguments)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the host; the bench sees to the lamp
@@ -61,8 +62,9 @@ def main(arguments: list[str] | None = None) -> int:
         laboratory = Laboratory(folder, room, keeper, body, [parse(text) for text in options.fault])
         socket = folder / "socket"
         with Server(socket, laboratory, options.linger) as server:
+            about = {"seed": options.seed, "session": options.session}
             endpoints = {"pid": os.getpid(), "socket": str(socket), "sample": options.sample}
-            write_text(folder / ENDPOINTS, json.dumps(endpoints | {"seed": options.seed}) + "\n")
+            write_text(folder / ENDPOINTS, json.dumps(endpoints | about) + "\n")
             server.serve_forever()
     except _EndError:
         pass

@@ -117,11 +117,11 @@ class Bench:
     def expose(self, path: Path, exposure_s: float, iso: int) -> NDArray[np.uint16]:
         """Take a frame now and save it; return the visible values (h, w). It takes `exposure_s`."""
         taken = self.clock.wall().strftime("%Y:%m:%d %H:%M:%S")
-        light = self.wait(exposure_s)
+        picture = self._shine(exposure_s)
         self._n_frames += 1
         return self.camera.expose(
             path,
-            self._shape * (light if self.door_open else 0.0),
+            picture * float(self.door_open),
             self._colour,
             exposure_s=exposure_s,
             iso=iso,
@@ -130,6 +130,10 @@ class Bench:
             description=STATEMENT,
             rng=np.random.default_rng([self.seed, self._n_frames]),
         )
+
+    def _shine(self, duration_s: float) -> Array:
+        """Let time pass; return (h, w) the light that the sample gave meanwhile."""
+        return self._shape * self.wait(duration_s)
 
     def true_light(self, times_s: Array) -> Array:
         """(n,) what the sample gave at ascending times after the lamp was switched off."""

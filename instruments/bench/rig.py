@@ -35,6 +35,7 @@ from phoslab.instruments.simulated import Link
 
 ENDPOINTS = "endpoints.json"
 _PATIENCE_S = 60.0
+_PREFIX = "phoslab-bench-"
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class Bench:
         socket: clock, camera and hands.
         pid: its process.
         sample, seed: what it was started with.
+        session: the session that it serves, as a whole path; None if nobody said.
     """
 
     folder: Path
@@ -53,6 +55,7 @@ class Bench:
     pid: int
     sample: str
     seed: int
+    session: Path | None = None
 
     @property
     def port(self) -> str:
@@ -87,6 +90,7 @@ def start(
     linger_s: float = 60.0,
     card_frames: int = 500,
     size: tuple[int, int] | None = None,
+    session: Path | None = None,
 ) -> Bench:
     """Start a bench in a process that outlives this one by `linger_s`.
 
@@ -101,13 +105,14 @@ def start(
         linger_s: real time for which it waits for a host that has died to come back.
         card_frames: how many frames the camera's card holds.
         size: rows and columns of a frame, both even.
+        session: that it serves, so that `serving` finds it again.
 
     Raises:
         PhoslabError: it cannot be started; its own words say why.
     """
     temporary = folder is None
     if folder is None:
-        folder = Path(tempfile.mkdtemp(prefix="phoslab-bench-"))
+        folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
     folder.mkdir(parents=True, exist_ok=True)
     # As phoslab.limited starts its workers: with this process's import path, whatever folder it is in.
     code = (
@@ -120,6 +125,7 @@ def start(
     command += [] if at is None else ["--start", at.isoformat()]
     command += [] if size is None else ["--size", *map(str, size)]
     command += ["--temporary"] if temporary else []
+    command += [] if session is None else ["--session", str(session.resolve())]
     log = folder / "bench.log"
     with log.open("wb") as words:
         process = subprocess.Popen(
@@ -146,11 +152,29 @@ def find(folder: Path) -> Bench | None:
     """Return the bench that runs in `folder`, None if none does."""
     try:
         said = json.loads((folder / ENDPOINTS).read_text("utf-8"))
-        bench = Bench(folder, Path(said["socket"]), int(said["pid"]), str(said["sample"]), int(said["seed"]))
+        session = None if said.get("session") is None else Path(said["session"])
+        what = str(said["sample"]), int(said["seed"]), session
+        bench = Bench(folder, Path(said["socket"]), int(said["pid"]), *what)
         Link(bench.socket).close()
     except (OSError, ValueError, KeyError, TypeError, DeviceGoneError):
         return None
     return bench
+
+
+def serving(session: Path) -> Bench | None:
+    """Return the bench that has outlived the host which measured `session` on it, None if none has.
+
+    It stands in a temporary folder of this user, and says itself whom it serves.
+    """
+    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+        try:
+            mine = folder.lstat().st_uid == os.getuid() and folder.is_dir() and not folder.is_symlink()
+        except OSError:
+            continue
+        bench = find(folder) if mine else None
+        if bench is not None and bench.session == session.resolve():
+            return bench
+    return None
 
 
 def truth(bench: Bench, times_s: Sequence[float] = (), *, piece: int = 1) -> dict[str, Any]:

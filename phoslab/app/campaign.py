@@ -216,7 +216,13 @@ def run(campaign: Campaign, *, view: str, resume: bool = False) -> Iterator[Outc
     with _locked(campaign, resume), Interrupts() as interrupts:
         total_s = campaign.rehearse(None, done).duration_s
         with opened(
-            campaign.source, interrupts, view=view, title=title, total_s=total_s, not_before=last_wall
+            campaign.source,
+            campaign.folder,
+            interrupts,
+            view=view,
+            title=title,
+            total_s=total_s,
+            not_before=last_wall,
         ) as laboratory:
             line = campaign.rehearse(laboratory, done)
             check_plan(line, laboratory.max_on_s, campaign.folder, laboratory.lab.frame_bytes)
@@ -239,6 +245,8 @@ def _measure(campaign: Campaign, entry: Entry, laboratory: Opened) -> Outcome:
     with recorder:
         if "simulated" in header:
             recorder.note(header["simulated"]["statement"])
+        if laboratory.word:
+            recorder.note(laboratory.word)
         if not getattr(lab.lamp, "failsafe", True):
             recorder.note("the lamp does not go out by itself; a guardian process switches it off")
         Runner(lab, recorder, history).run(lambda: start(entry.parameters, laboratory.setup))
@@ -247,8 +255,17 @@ def _measure(campaign: Campaign, entry: Entry, laboratory: Opened) -> Outcome:
 
 @contextlib.contextmanager
 def _locked(campaign: Campaign, resume: bool) -> Iterator[None]:
-    """A folder of sessions is locked as a whole by its campaign.toml; a single session by its journal."""
+    """A folder of sessions is locked as a whole by its campaign.toml; a single session by its journal.
+
+    That is the recorder's to do; here it is only looked whether it could, before the devices of another are touched.
+    """
     if not campaign.several:
+        if resume:
+            handle = os.open(campaign.folder / "journal.jsonl", os.O_RDONLY | os.O_NOFOLLOW)
+            try:
+                lock(handle, campaign.folder)
+            finally:
+                os.close(handle)
         yield
         return
     if not resume:

@@ -5,10 +5,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from phoslab.app import fit_check, fit_per_pixel
+
 HELP = "fit a material to a recorded session, or rates to a decay table"
 EXAMPLE = (
     "phoslab fit sample_data/sessions/green-decay --preset green -o green.json --report green.html\n"
-    "  phoslab fit decay.csv --states auto --json"
+    "  phoslab fit sample_data/sessions/green-decay --preset green --per-pixel -o maps\n"
+    "  phoslab fit decay.csv --states auto --json\n"
+    "  phoslab fit CHECK-SESSION --lvf lvf.json"
 )
 
 
@@ -18,14 +22,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="SESSION|TABLE.csv",
-        help="folder of a decay session; or a CSV table with the columns t_s (since lamp-off), optionally exposure_s, "
-        "one a channel, optionally CHANNEL_sigma",
+        help="folder of a decay session; or of a check session, to judge what the model takes for granted; or a CSV "
+        "table with the columns t_s (since lamp-off), optionally exposure_s, one a channel, optionally CHANNEL_sigma",
     )
     parser.add_argument(
         "--preset",
         type=_preset,
         metavar="NAME",
         help="material that lends what a session does not tell: excitation rates and the spectrum's shape",
+    )
+    parser.add_argument(
+        "--lvf",
+        type=Path,
+        metavar="FILE",
+        help="the filter's calibration, to judge the spectra of a check session",
     )
     parser.add_argument(
         "--states",
@@ -45,6 +55,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--report", type=Path, metavar="FILE.html", help="also write a report to read (sessions)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    parser.add_argument("--bootstrap", type=_count, default=0, metavar="N", help="add a bootstrap of N draws")
+    parser.add_argument(
+        "--extrapolate",
+        type=_times,
+        default=(),
+        metavar="S,S,...",
+        help="continue the fit to these times after lamp-off, with the band that the data allow",
+    )
+    fit_per_pixel.configure(parser)
     table = parser.add_argument_group("tables")
     table.add_argument(
         "--offset",
@@ -57,14 +76,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default="auto",
         choices=["auto", "constant", "photon", "relative"],
         help="how noise goes with the signal where the table gives no sigma (default: the likeliest)",
-    )
-    table.add_argument("--bootstrap", type=_count, default=0, metavar="N", help="add a bootstrap of N draws")
-    table.add_argument(
-        "--extrapolate",
-        type=_times,
-        default=(),
-        metavar="S,S,...",
-        help="continue the fit to these times after lamp-off, with the band that the data allow",
     )
 
 
@@ -109,8 +120,12 @@ def _check_outputs(outputs: list[Path], sessions: list[Path]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.per_pixel or args.bin != 1:
+        return fit_per_pixel.run(args)
     if any(path.is_file() for path in args.session):
         return _fit_table(args)
+    if fit_check.is_check(args.session):
+        return fit_check.run(args)
     return _fit_session(args)
 
 
@@ -169,6 +184,7 @@ def _fit_table(args: argparse.Namespace) -> int:
 def _fit_session(args: argparse.Namespace) -> int:
     import json
     import math
+    from dataclasses import replace
 
     from phoslab.app.progress import progress_bar
 
@@ -179,7 +195,8 @@ def _fit_session(args: argparse.Namespace) -> int:
     )
     _needs(args, "output", "Name the material file to write.")
     _check_outputs([p for p in (args.output, args.report) if p is not None], args.session)
-    from phoslab.fitting import fit_session
+    from phoslab.fitting import extrapolation, fit_session
+    from phoslab.fitting.intervals import bootstrap_intervals
 
     with progress_bar("decoding frames", quiet=args.json) as progress:
         result = fit_session(
@@ -189,6 +206,10 @@ def _fit_session(args: argparse.Namespace) -> int:
             name=args.name,
             progress=progress,
         )
+    beyonds = [extrapolation.beyond(result.fit, t_s) for t_s in args.extrapolate]
+    warned = extrapolation.warnings(beyonds, result.fit.data.end_s)
+    result = replace(result, warnings=(*result.warnings, *warned))
+    bootstrap = bootstrap_intervals(result.fit, args.bootstrap, seed=0) if args.bootstrap else None
     result.material.save(args.output)
     if args.report:
         from phoslab.app.report import write_report
@@ -208,6 +229,8 @@ def _fit_session(args: argparse.Namespace) -> int:
                     "kr_per_s": result.fit.kr_per_s.tolist(),
                     "kr_standard_error": plain(result.fit.kr_standard_error.tolist()),
                     "interval95_per_s": [plain(ends) for ends in result.interval95.tolist()],
+                    "bootstrap95_per_s": None if bootstrap is None else bootstrap.tolist(),
+                    "extrapolated": [b.to_dict() for b in beyonds],
                     "chi2": result.fit.chi2,
                     "dof": result.fit.dof,
                     "assumed": result.assumed,
@@ -217,5 +240,11 @@ def _fit_session(args: argparse.Namespace) -> int:
         )
     else:
         print(result.report())
+        if bootstrap is not None:
+            print("[[rates by bootstrap, 95 %]]")
+            for i, (low, high) in enumerate(bootstrap):
+                print(f"  kr[{i}] [1/s]           {low:.4g} .. {high:.4g}")
+        for line in extrapolation.lines(beyonds, result.fit.data.channels):
+            print(line)
         print(f"Wrote {args.output}" + (f" and {args.report}" if args.report else ""))
     return 0

@@ -57,17 +57,20 @@ class Opened:
         setup: what plans know of it.
         header: the tables of session.toml that describe it.
         max_on_s: how long its lamp may shine without a break.
+        word: for the journal, if there is something to say.
     """
 
     lab: Laboratory
     setup: Setup
     header: dict[str, Any]
     max_on_s: float
+    word: str = ""
 
 
 @contextmanager
 def opened(
     source: Source,
+    session: Path,
     interrupts: Interrupts,
     *,
     view: str,
@@ -78,9 +81,10 @@ def opened(
     """Open the devices, check the camera with a trial frame, and show what goes on; leave everything safe.
 
     Args:
+        session: folder of the session, or of several.
         view: "live", "lines" or "silent".
         title, total_s: for the view.
-        not_before: wall time, RFC 3339, at which a simulated clock may begin at the earliest.
+        not_before: wall time, RFC 3339, of the last line of a session that goes on.
 
     Raises:
         PhoslabError: something is not there or not as it should be. The lamp has not been on then.
@@ -88,11 +92,20 @@ def opened(
     with ExitStack() as stack:
         operator: Operator
         clock: Clock
+        word = ""
         if source.rig is None:
             from phoslab.app.simulation import started
 
-            bench = stack.enter_context(started(source.sample, source.seed, source.faults, not_before))
-            rig, clock, operator, extra = bench.rig, bench.clock, bench.operator, bench.header
+            bench = stack.enter_context(
+                started(session, source.sample, source.seed, source.faults, not_before)
+            )
+            rig, clock, operator, extra, word = (
+                bench.rig,
+                bench.clock,
+                bench.operator,
+                bench.header,
+                bench.word,
+            )
         else:
             rig, clock, operator, extra = source.rig, SystemClock(), Terminal(), {}
         devices: Devices = connect(rig, clock, operator, interrupts.check)
@@ -122,7 +135,9 @@ def opened(
             stack.enter_context(live.shown())
         elif view == "lines":
             lab.watcher = Lines(clock)
-        yield Opened(lab, setup, {**rig.header(devices.camera.facts), **extra}, rig.max_on_s)
+        if word:
+            lab.watcher.trouble(word)
+        yield Opened(lab, setup, {**rig.header(devices.camera.facts), **extra}, rig.max_on_s, word)
 
 
 def check_camera(lab: Laboratory, ladder: Ladder) -> None:

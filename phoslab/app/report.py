@@ -55,7 +55,7 @@ def write_report(
         held_out={h.n_states: h for h in result.held_out},
         decay=svg(_decay_figure(result)),
         emission=svg(_emission_figure(result)),
-        pictures=[(_data_uri(p.path), p.caption) for p in pictures],
+        pictures=[(data_uri(p.path), p.caption) for p in pictures],
         notes=notes,
     )
     write_text(path, page)
@@ -150,5 +150,6 @@ def _emission_figure(result: FitResult) -> Figure:
     return figure
 
 
-def _data_uri(path: Path) -> str:
+def data_uri(path: Path) -> str:
+    """Return a PNG file as what an <img> can hold."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")

@@ -11,6 +11,7 @@ from typing import Any
 
 from phoslab.instruments.bench import rig as bench_rig
 from phoslab.instruments.bench.lights import LED
+from phoslab.instruments.bench.rig import Bench
 from phoslab.instruments.plans.steps import Stage
 from phoslab.instruments.rig import SCHEMA, Rig
 from phoslab.instruments.simulated import BenchClock, Hands, Link
@@ -36,12 +37,14 @@ class Simulation:
         clock: its clock.
         operator: its hands.
         header: what session.toml says of it.
+        word: about where a session goes on that was interrupted, for the journal.
     """
 
     rig: Rig
     clock: BenchClock
     operator: BenchOperator
     header: dict[str, Any]
+    word: str = ""
 
 
 class BenchOperator:
@@ -78,18 +81,43 @@ def bench_of(port: Path, socket: Path) -> Rig:
     )
 
 
+def _found(session: Path, sample: str, seed: int, faults: Sequence[str], last: str) -> tuple[Bench, str]:
+    """The bench on which a session was interrupted, or a new one, and a word about it."""
+    bench = bench_rig.serving(session)
+    if bench is not None and (bench.sample, bench.seed) == (sample, seed):
+        return (
+            bench,
+            f"goes on on the same simulated bench (process {bench.pid}), which has outlived its host",
+        )
+    at = datetime.fromisoformat(last) + AWAY
+    bench = bench_rig.start(sample, seed=seed, faults=tuple(faults), at=at, session=session)
+    return bench, (
+        "the simulated bench has gone meanwhile: goes on on a new one, "
+        f"whose samples have been in the dark for {AWAY.total_seconds():g} s"
+    )
+
+
 @contextmanager
-def started(sample: str, seed: int, faults: Sequence[str], not_before: str | None) -> Iterator[Simulation]:
-    """Start a bench and stop it at the end; it outlives this process for a while if that dies.
+def started(
+    session: Path, sample: str, seed: int, faults: Sequence[str], not_before: str | None
+) -> Iterator[Simulation]:
+    """Start a bench, or find the one that outlived its host, and stop it at the end.
+
+    It outlives this process for a while if that dies.
 
     Args:
+        session: folder of the session, or of several.
         sample: a preset: what the sample looks like, and how long it glows.
         seed: of all that is random.
         faults: see docs/simulation.md.
         not_before: wall time, RFC 3339, of the last line of a session that goes on.
     """
-    at = None if not_before is None else datetime.fromisoformat(not_before) + AWAY
-    with bench_rig.start(sample, seed=seed, faults=tuple(faults), at=at) as bench:
+    if not_before is None:
+        found = bench_rig.start(sample, seed=seed, faults=tuple(faults), session=session), ""
+    else:
+        found = _found(session, sample, seed, faults, not_before)
+    bench, word = found
+    with bench:
         clock = BenchClock(bench.folder, Link(bench.socket))
         hands = Hands(Link(bench.socket))
         rig = bench_of(Path(bench.port), bench.socket)
@@ -98,4 +126,4 @@ def started(sample: str, seed: int, faults: Sequence[str], not_before: str | Non
             "sample": {"note": STATEMENT},
             "simulated": {"statement": STATEMENT, "seed": seed, "sample": sample, "faults": list(faults)},
         }
-        yield Simulation(rig, clock, BenchOperator(hands), header)
+        yield Simulation(rig, clock, BenchOperator(hands), header, word)

@@ -149,3 +149,32 @@ def test_a_name_does_not_steer_the_terminal(tmp_path, capsys):
         cli.main(["export", str(tmp_path / "a\x1b[2Jb"), "--to", "csv", "-o", str(tmp_path / "o.csv")]) == 1
     )
     assert "\x1b" not in capsys.readouterr().err
+
+
+def test_a_session_is_continued_with_a_band_and_bootstrapped(session, tmp_path, capsys):
+    arguments = [
+        "fit",
+        str(session),
+        "--preset",
+        "green",
+        "--states",
+        "3",
+        "-o",
+        str(tmp_path / "m.json"),
+        "--json",
+    ]
+    assert cli.main([*arguments, "--bootstrap", "100", "--extrapolate", "60,3600"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    inside, far = found["extrapolated"]
+    for value, (low, high) in zip(inside["value"], inside["band95"], strict=True):
+        assert 0.98 < low / value < high / value < 1.02  # a minute lies within the three that were measured
+    assert all(high > 100 * low for low, high in far["band95"])  # nothing is known of an hour
+    assert any("3600 s lies beyond the data" in w for w in found["warnings"])
+    for (low, high), kr in zip(found["bootstrap95_per_s"], found["kr_per_s"], strict=True):
+        assert low < kr < high
+
+
+def test_what_is_continued_is_said_to_a_person(session, tmp_path, capsys):
+    arguments = ["fit", str(session), "--preset", "green", "--states", "3", "-o", str(tmp_path / "m.json")]
+    assert cli.main([*arguments, "--extrapolate", "3600"]) == 0
+    assert "3600 s: R" in capsys.readouterr().out

@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from phoslab.app.trades import extremes, fit_draws, hours, precision, previous, rhythm
+from phoslab.app.trades import (
+    extremes,
+    fit_charging,
+    fit_draws,
+    fit_peers,
+    hours,
+    precision,
+    previous,
+    rhythm,
+    strd,
+)
+from phoslab.app.trades import fit as trade_fit
 from phoslab.app.trades.page import Plot, Section, Table, write_trade
 from phoslab.app.trades.precision import Measured, Point
 
@@ -92,18 +103,67 @@ def test_the_cost_of_the_past_grows_with_it():
     assert long.cache_bytes == 64 * short.cache_bytes
 
 
-def test_the_trade_of_the_fit_judges_a_fit_that_fails(tmp_path):
-    draws = fit_draws.recover(fit_draws.USUAL, 5, lambda data: np.array([0.132, 0.012]))
-    assert draws.within(fit_draws.USUAL.kr) == 0.0
-    assert fit_draws.recover(fit_draws.USUAL, 5).within(fit_draws.USUAL.kr) == 1.0
+def test_the_trade_of_the_fit_judges_a_fit_that_fails():
+    draws = fit_draws.Draws()
+    wrong = draws.recover(fit_draws.USUAL, 5, lambda data: np.array([0.132, 0.012]))
+    assert wrong.within(fit_draws.USUAL.kr) == 0.0
+    assert draws.recover(fit_draws.USUAL, 5).within(fit_draws.USUAL.kr) == 1.0
 
 
 def test_curve_fit_beside_it_finds_the_same_rates_from_a_start_at_the_truth():
-    fit = fit_draws.curve_fit_rates(fit_draws.USUAL.kr)
     data = fit_draws.USUAL.draw(3)
-    ours = fit_draws.recover(fit_draws.USUAL, 4).rates[3]
     # Both minimise the same chi-square; curve_fit stops at a relative change of 1e-8.
-    assert fit(data) == pytest.approx(ours, rel=1e-5)
+    rates = fit_peers.rates_or_nan("curve_fit", fit_draws.USUAL.kr, data)
+    assert rates == pytest.approx(fit_draws.our_rates(data), rel=1e-5)
+
+
+def test_a_peer_that_diverges_counts_as_failed():
+    assert fit_peers.rates_or_nan("curve_fit", (1e6, 1e7), fit_draws.USUAL.draw(0))[1] != pytest.approx(0.009)
+    box = fit_peers.digits(fit_peers.PEERS[0], "BoxBOD", 0)
+    assert box == "fails" or box < 1
+
+
+@pytest.mark.parametrize("peer", [p for p in fit_peers.PEERS if p.problem], ids=lambda p: p.name)
+def test_peers_that_are_here_solve_the_reference_problems_from_their_nearer_start(peer):
+    if not peer.installed:
+        pytest.skip(f"{peer.name} is not installed")
+    # Their default tolerances leave 4 digits and more; 2 tell a right amplitude from one in other units.
+    assert fit_peers.digits(peer, "Lanczos3", 1) > 2
+
+
+def test_every_parameter_of_the_reference_problems_is_right_to_the_last_digit():
+    for name, problem in strd.PROBLEMS.items():
+        for start in range(len(problem.starts)):
+            assert trade_fit.strd_digits(name, start)[2], name
+
+
+def test_a_digit_less_is_not_as_certified():
+    p = strd.LANCZOS3
+    assert p.certified(p.rates, p.linear)
+    assert not p.certified(p.rates * (1 + 2e-10), p.linear)
+
+
+def test_exact_charging_agrees_with_a_general_solver():
+    # DOP853 at rtol 1e-12 over 14 exposures of 43 steps: some hundred times its tolerance at most.
+    assert fit_charging.measure(3, 1).difference < 1e-10
+
+
+def test_the_trade_of_the_fit_answers_every_question(tmp_path, monkeypatch):
+    few = trade_fit.Sizes(success=6, peer=1, coverage=4, states=1, clipped=2, electrons=2, runs=1)
+    monkeypatch.setattr(trade_fit, "QUICK", few)
+    seen, pages = [], []
+    write = trade_fit.write_trade
+    monkeypatch.setattr(trade_fit, "write_trade", lambda *a: pages.append(a) or write(*a))
+    summary, written = trade_fit.measure(
+        tmp_path, quick=True, progress=lambda n, total: seen.append((n, total))
+    )
+    assert [len(p[4]) for p in pages] == [1, 2, 3, 4, 5, 6]  # the page grows, whole all the while
+    data = json.loads((tmp_path / "trade.json").read_text())
+    assert data["complete"]
+    assert {"digits", "success", "coverage", "bias", "right_states", "charging"} <= set(data)
+    assert all(path.exists() for path in written)
+    assert seen[-1][0] == seen[-1][1]
+    assert any("digits" in s for s in summary)
 
 
 def test_a_trade_leaves_a_page_tables_plots_and_data(tmp_path):
@@ -129,3 +189,15 @@ def test_a_trade_leaves_a_page_tables_plots_and_data(tmp_path):
     assert data["schema"] == "phoslab-trade/1"
     assert data["costs"] == [1.5]
     assert data["machine"]["cores"] >= 1
+
+
+def test_what_answers_to_noise_is_taken_off_a_bias_without_moving_it():
+    draws = fit_draws.Draws()
+    # A weighted fit of exact σ, whose error is the first-order answer and little else: next to nothing is left.
+    calm = fit_draws.Situation("calm", fit_draws.USUAL.draw, np.full((37, 3), fit_draws.USUAL.sigma**2))
+    bias, error = draws.bias(calm, fit_draws.our_rates, 12)
+    assert (error < 0.1 * fit_draws.USUAL.bound / fit_draws.USUAL.kr).all()
+    assert (np.abs(bias) < 1e-3).all()
+    # Rates that are wrong by a constant stay so.
+    bias, _ = draws.bias(calm, lambda d: 1.05 * fit_draws.our_rates(d), 12)
+    assert bias == pytest.approx(0.05, abs=2e-3)

@@ -3,7 +3,8 @@
     python tests/benchmarks/spectra.py FOLDER
 
 FOLDER holds, or is given, a `flats` session and an `lvf` session of the simulated bench with every known filter.
-The calibration sees 14 of them. Errors are root mean squares over 420..680 nm, relative to the spectrum's own.
+The calibration sees 14 of them. Errors are root mean squares over 420..680 nm, relative to the spectrum's own;
+coverage is the share of wavelengths there at which the truth lies within 1 and 2 of the stated standard errors.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from phoslab.app.cli import main
 from phoslab.app.simulation import FILTERS
 from phoslab.fitting import lvf
 from phoslab.fitting.filters import transmission
-from phoslab.fitting.spectrum import NM, reconstruct
+from phoslab.fitting.spectrum import NM, Spectrum, reconstruct
 from phoslab.fitting.strip_light import read_light
 from phoslab.instruments.bench import darkroom, lights
 from phoslab.instruments.bench.dng import write_dng
@@ -39,9 +40,12 @@ class Part:
         return tuple(f for f in self.frames if f.role == role)
 
 
-def error(value: np.ndarray, truth: np.ndarray) -> float:
-    scale = (value @ truth) / (value @ value)
-    return float(np.sqrt(np.mean((scale * value - truth)[SEEN] ** 2) / np.mean(truth[SEEN] ** 2)))
+def miss(found: Spectrum, truth: np.ndarray) -> tuple[float, np.ndarray]:
+    """Relative error, and how many standard errors each wavelength is off; spectra are relative, so scaled to fit."""
+    scale = (found.value @ truth) / (found.value @ found.value)
+    off = (scale * found.value - truth)[SEEN]
+    relative = float(np.sqrt(np.mean(off**2) / np.mean(truth[SEEN] ** 2)))
+    return relative, np.abs(off / (scale * found.standard_error[SEEN]))
 
 
 def patches(folder: Path) -> tuple[Part, list[str]]:
@@ -74,11 +78,14 @@ def patches(folder: Path) -> tuple[Part, list[str]]:
     return Part(folder, tuple(frames)), names
 
 
-def report(kind: str, errors: dict[str, float]) -> None:
+def report(kind: str, misses: dict[str, tuple[float, np.ndarray]]) -> None:
+    errors = {name: relative for name, (relative, _) in misses.items()}
+    off = np.concatenate([standard for _, standard in misses.values()])
     worst = max(errors, key=lambda name: errors[name])
     print(
         f"{kind}: {len(errors)} spectra, median error {np.median(list(errors.values())):.1%}, "
-        f"90 % below {np.quantile(list(errors.values()), 0.9):.1%}, worst {errors[worst]:.1%} ({worst})"
+        f"90 % below {np.quantile(list(errors.values()), 0.9):.1%}, worst {errors[worst]:.1%} ({worst}); "
+        f"coverage {np.mean(off < 1):.0%} and {np.mean(off < 2):.0%}"
     )
 
 
@@ -98,7 +105,7 @@ def run(folder: Path) -> None:
             session, session.frames_of("flat"), calibration.strip, calibration.settings, scattered=False
         )
         evenness = lvf.shading(flat[0])
-        errors = {}
+        misses = {}
         for name in sorted(everything - set(FILTERS)):
             lights_of, _ = read_light(
                 session, session.frames_of(f"filter:{name}"), calibration.strip, calibration.settings
@@ -106,16 +113,16 @@ def run(folder: Path) -> None:
             curve = transmission(name)
             if lights_of and curve is not None:
                 found = reconstruct(lights_of[0], calibration, evenness)
-                errors[name] = error(found.value, led * np.interp(NM, *curve))
-        report("colour filters", errors)
+                misses[name] = miss(found, led * np.interp(NM, *curve))
+        report("colour filters", misses)
         part, names = patches(Path(temporary))
         reflectance = darkroom._checker()
-        errors = {}
+        misses = {}
         for name in names:
             lights_of, _ = read_light(part, part.frames_of(name), calibration.strip, calibration.settings)
             found = reconstruct(lights_of[0], calibration, evenness)
-            errors[name] = error(found.value, led * np.interp(NM, darkroom.NM, reflectance[name]))
-        report("ColorChecker", errors)
+            misses[name] = miss(found, led * np.interp(NM, darkroom.NM, reflectance[name]))
+        report("ColorChecker", misses)
 
 
 if __name__ == "__main__":

@@ -202,6 +202,8 @@ Y = course(*USUAL) + np.random.default_rng(0).normal(0, 0.002, 37)
         (1 - Y, "rises"),
         (1 - Y + 0.02 * (-1.0) ** np.arange(37), "rises"),
         (np.ones(37), "does not change"),
+        (1e300 * Y, "another unit"),
+        (1e-300 * Y, "another unit"),
     ],
 )
 def test_a_channel_that_is_no_decay_is_named_and_the_rest_delivered(tmp_path, other, reason):
@@ -227,6 +229,33 @@ def test_saturated_values_are_left_out(tmp_path):
     assert flagged(result, "saturated")
     assert result.fit.data.n_values == 35
     assert np.abs(result.fit.kr_per_s / USUAL[0] - 1).max() < 0.1
+
+
+def test_a_row_that_stands_twice_is_not_taken_for_saturated(tmp_path):
+    result = fit_table(written(tmp_path, t_s=np.repeat(T, 2), lum=np.repeat(Y, 2)), states=2)
+    assert flagged(result, "repeated-times")
+    assert not flagged(result, "saturated")
+    assert np.abs(result.fit.kr_per_s / USUAL[0] - 1).max() < 0.1
+
+
+def test_times_that_almost_coincide_leave_the_rates_as_they_are(tmp_path):
+    """Two runs of one meter in a table, the second a microsecond later."""
+    t = np.sort(np.concatenate([T, T[1:] + 1e-6]))
+    y = np.interp(t, T, Y)
+    result = fit_table(written(tmp_path, t_s=t, lum=y), states=4)
+    assert result.fit.n_states >= 1
+    assert np.isfinite(result.fit.chi2)
+    two = fit_table(written(tmp_path, t_s=t, lum=y), states=2)
+    assert np.abs(two.fit.kr_per_s / USUAL[0] - 1).max() < 0.1
+
+
+def test_rates_that_cannot_be_told_apart_are_said_to_be_so(tmp_path):
+    y = 0.5 * np.exp(-0.03 * T) + 0.5 * np.exp(-0.0285 * T)
+    y = y + np.random.default_rng(0).normal(0, 0.002, 37)
+    assert fit_table(written(tmp_path, t_s=T, lum=y)).fit.n_states == 1
+    result = fit_table(written(tmp_path, t_s=T, lum=y), states=2)
+    assert flagged(result, "states-not-distinct") or flagged(result, "rates-overlap")
+    assert flagged(result, "too-many-states")
 
 
 def test_two_values_give_a_rate_and_no_error(tmp_path):

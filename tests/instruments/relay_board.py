@@ -17,6 +17,7 @@ FRAMES = {
     "lcus-1": {b"\xa0\x01\x01\xa2": 1, b"\xa0\x01\x00\xa1": 0},
     "kmtronic": {b"\xff\x01\x01": 1, b"\xff\x01\x00": 0},
 }
+STATUS = {"kmtronic": b"\xff\x01\x03"}
 
 
 def plug() -> tuple[int, int]:
@@ -27,10 +28,10 @@ def plug() -> tuple[int, int]:
 
 
 def main() -> None:
-    frames = FRAMES[sys.argv[1]]
+    frames, status = FRAMES[sys.argv[1]], STATUS.get(sys.argv[1])
     length = len(next(iter(frames)))
     line: tuple[int, int] | None = plug()
-    state, received, commands = 0, b"", b""
+    state, received, commands, dumb = 0, b"", b"", False
     while True:
         ready, _, _ = select.select([0, *(line or ())[:1]], [], [])
         if 0 in ready:
@@ -45,6 +46,11 @@ def main() -> None:
                     line = None
                 elif command == b"plug" and line is None:
                     line = plug()
+                elif command == b"reset" and state:  # its supply was weak for a moment
+                    state = 0
+                    print(f"pin lamp 0 {time.monotonic():.6f} 0", flush=True)
+                elif command.startswith(b"dumb"):
+                    dumb = command == b"dumb on"
                 elif command == b"time":
                     print(f"pin time 0 {time.monotonic():.6f} 0", flush=True)
                 print(f"done {command.decode()}", flush=True)
@@ -52,6 +58,11 @@ def main() -> None:
             received += os.read(line[0], 4096)
             while len(received) >= length:
                 to = frames.get(received[:length])
+                if received[:length] == status:
+                    if not dumb:
+                        os.write(line[0], next(frame for frame, to in frames.items() if to == state))
+                    received = received[length:]
+                    continue
                 received = received[length if to is not None else 1 :]
                 if to is not None and to != state:
                     state = to

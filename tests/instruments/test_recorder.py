@@ -5,12 +5,16 @@ from __future__ import annotations
 import errno
 import json
 import os
+import signal
+import subprocess
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import phoslab
 from phoslab.errors import PhoslabError
 from phoslab.instruments.bench.bench import SimulatedClock
 from phoslab.instruments.devices import Clock
@@ -66,6 +70,51 @@ def test_a_wrong_header_leaves_no_folder(tmp_path: Path) -> None:
     with pytest.raises(PhoslabError, match=r"sample"):
         Recorder(tmp_path / "s", {**HEADER, "sample": {}}, SimulatedClock())
     assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize("step", range(5))
+def test_what_a_killed_writer_began_is_swept_away_by_the_next(step: int, tmp_path: Path) -> None:
+    """kill -9 between any two steps of the creation; SIGKILL itself, since no handler may tidy up."""
+    program = f"""
+import os, signal
+from phoslab.instruments import recorder
+steps = 0
+def dying(name, where):
+    real = getattr(where, name)
+    def call(*arguments, **more):
+        global steps
+        if steps == {step}:
+            os.kill(os.getpid(), signal.SIGKILL)
+        steps += 1
+        return real(*arguments, **more)
+    setattr(where, name, call)
+for name, where in [("umask", recorder), ("write_text", recorder), ("lock", recorder), ("_sync_folder", recorder)]:
+    dying(name, where)
+dying("rename", recorder.Path)
+recorder.Recorder({str(tmp_path / "s")!r}, {HEADER!r}, recorder.SystemClock())
+"""
+    environment = {**os.environ, "PYTHONPATH": str(Path(phoslab.__file__).parent.parent)}
+    killed = subprocess.run([sys.executable, "-c", program], check=False, env=environment)
+    assert killed.returncode == -signal.SIGKILL
+    (left,) = tmp_path.iterdir()
+    assert left.name.startswith(".s-")
+    os.utime(left, (0, 0))  # long ago
+    with recorder_in(tmp_path / "s"):
+        pass
+    assert [p.name for p in tmp_path.iterdir()] == ["s"]
+
+
+def test_what_another_writer_begins_now_or_holds_a_frame_is_left_alone(tmp_path: Path) -> None:
+    begun, with_frame, other = (tmp_path / name for name in (".s-abcdefgh", ".s-12345678", ".t-abcdefgh"))
+    for folder in (begun, with_frame, other):
+        (folder / "frames").mkdir(parents=True)
+    (with_frame / "frames" / "0000.dng").write_bytes(b"light")
+    os.utime(with_frame, (0, 0))
+    os.utime(other, (0, 0))
+    with recorder_in(tmp_path / "s"):
+        pass
+    assert all(folder.exists() for folder in (begun, with_frame, other))
+    assert (with_frame / "frames" / "0000.dng").exists()
 
 
 def test_every_line_is_synced_before_the_call_returns(

@@ -77,6 +77,27 @@ def test_a_pulled_cable_is_an_error_that_says_to_look_at_the_lamp(
     assert eventually(lambda: not board.level("lamp"))  # staging has switched it off
 
 
+def test_a_board_that_can_say_how_its_relay_stands_is_believed(board: BoardProcess, lamp: RelayLamp) -> None:
+    """A KMTronic board whose supply failed for a moment has forgotten that it was told on; LCUS-1 cannot tell."""
+    lamp.stage()
+    lamp.set("on").wait(5)
+    board.pin("lamp", 1)
+    board.do("reset")
+    assert lamp.read()[lamp.name]["value"] == {"kmtronic": "off", "lcus-1": "on"}[board.kind]
+
+
+@pytest.mark.parametrize("board", ["kmtronic"], indirect=True)
+def test_a_board_that_does_not_answer_is_a_time_out_with_device_command_and_time(
+    board: BoardProcess, lamp: RelayLamp
+) -> None:
+    lamp.stage()
+    board.do("dumb on")
+    with pytest.raises(DeviceTimeoutError, match=r"lamp did not do 'say how its relay stands' within 0\.5 s"):
+        lamp.read()
+    board.do("dumb off")
+    lamp.read()  # one lost answer is no reason to give the lamp up
+
+
 def test_a_second_user_is_told_who_has_the_port(board: BoardProcess, lamp: RelayLamp) -> None:
     lamp.stage()
     with pytest.raises(DeviceGoneError, match=f"in use by process {os.getpid()}"):

@@ -10,6 +10,7 @@ import math
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +21,7 @@ from boards import BoardProcess, eventually, raises_soon, same_phoslab
 from contracts import LATE_S, DoorContract, LampContract
 
 from phoslab.errors import PhoslabError
-from phoslab.instruments import link, wire
+from phoslab.instruments import link, rig_parts, wire
 from phoslab.instruments.controller import RigController, RigDoor, RigLamp
 from phoslab.instruments.devices import DeviceError, DeviceGoneError, DeviceTimeoutError
 
@@ -118,6 +119,27 @@ def test_a_stuck_relay_cannot_be_missed(
     lamp.set("off").wait(5)
     lamp.stage()  # somebody says that it is mended; it is not
     raises_soon(lamp.read, "SHINES")
+
+
+def test_an_alarm_that_many_hear_at_once_is_told_once(
+    board: BoardProcess, rig: RigController, lamp: RigLamp, troubles: list[DeviceError]
+) -> None:
+    """Each time that the controller says it, a thread hears; the heartbeat does, too."""
+    lamp.stage()
+    lamp.set("on").wait(5)
+    time.sleep(0.3)
+    board.do("relay stuck")
+    lamp.set("off").wait(5)
+    with rig.state:  # so that all wait for one another
+        assert eventually(lambda: len(_waiting()) >= 2, 10.0)
+    assert eventually(lambda: not _waiting())
+    raises_soon(lamp.read, "SHINES")
+    assert ["SHINES" in str(error) for error in troubles] == [True]
+
+
+def _waiting() -> list[threading.Thread]:
+    """Those that have heard an alarm and not dealt with it yet."""
+    return [thread for thread in threading.enumerate() if "_on_alarm" in thread.name]
 
 
 def test_a_stuck_relay_does_not_hide_behind_other_trouble(board: BoardProcess, lamp: RigLamp) -> None:
@@ -218,6 +240,17 @@ def test_a_stuck_door_fails_its_status_and_can_be_set_again(
     board.do("door free")
     door.set("open").wait(10)
     assert door.read()["door"]["value"] == "open"
+
+
+def test_a_door_of_which_nothing_is_heard_is_a_time_out_of_the_drivers_own(
+    board: BoardProcess, door: RigDoor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The controller's own limit of 3 s comes first on a sound board: here it is not waited for."""
+    monkeypatch.setattr(rig_parts, "DOOR_S", 0.6)
+    door.stage()
+    board.do("door stuck")
+    with pytest.raises(DeviceTimeoutError, match=r"door did not do 'DOOR OPEN' within 0\.6 s"):
+        door.set("open").wait(10)
 
 
 def test_a_second_process_is_told_who_has_the_port(board: BoardProcess, lamp: RigLamp) -> None:

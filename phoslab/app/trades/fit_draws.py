@@ -1,20 +1,30 @@
-"""Repeated measurements of known decays: how often a fit is right, how its numbers scatter, how honest they are."""
+"""Repeated measurements of known decays: how often a fit is right, how its numbers scatter, how honest they are.
+
+A function of a seed makes one measurement, fits it, and returns what came out; `Draws` runs it over many seeds.
+"""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import get_context
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.fitting.decay import DecayData, DecayFit, fit_decay
+from phoslab.fitting.decay import DecayData, DecayFit, exposed_decay, fit_decay
 from phoslab.fitting.intervals import rate_intervals
 from phoslab.fitting.screening import Screened
 from phoslab.fitting.table_fit import fit_screened
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 T_S: Array = np.linspace(0.0, 180.0, 37)
 SCALES = np.array([1.0, 0.6, 0.25])
@@ -41,6 +51,34 @@ class Case:
         noise = np.random.default_rng(seed).normal(0, self.sigma, self.light.shape)
         return DecayData(T_S, np.zeros(T_S.size), self.light + noise, np.full(noise.shape, self.sigma))
 
+    def clipped(self, seed: int) -> DecayData:
+        """Return one whose first value shows only 80 % of its light."""
+        data = self.draw(seed)
+        signal = data.signal.copy()
+        signal[0] *= 0.8
+        return replace(data, signal=signal)
+
+    def electrons(self, seed: int) -> DecayData:
+        """Return one of 200 electrons at the peak; σ as a camera states it, from the values themselves."""
+        counts = np.random.default_rng(seed).poisson(200 * self.light).astype(float)
+        return DecayData(T_S, np.zeros(T_S.size), counts, np.sqrt(np.maximum(counts, 1)))
+
+    def response(self, variance: Array) -> Array:
+        """Return (n_c, 37 * 3) by how much each log rate of a weighted fit answers to each error, to first order.
+
+        Args:
+            variance: (37, 3) of the values; infinite for one that is left out.
+        """
+        n, n_channels = len(self.kr), SCALES.size
+        g, dg = exposed_decay(np.array(self.kr), T_S, np.zeros(T_S.size))
+        derivatives = np.zeros((T_S.size, n_channels, n * (1 + n_channels)))
+        for c, scale in enumerate(SCALES):
+            derivatives[:, c, :n] = scale * np.array(self.amplitude) * dg
+            derivatives[:, c, n * (1 + c) : n * (2 + c)] = g
+        J = derivatives.reshape(-1, n * (1 + n_channels))
+        weighted = J / variance.reshape(-1, 1)
+        return np.asarray(np.linalg.solve(weighted.T @ J, weighted.T)[:n], float)
+
     @property
     def bound(self) -> Array:
         """(n_c,) the Cramér-Rao bound of the rates, amplitudes of each channel free."""
@@ -55,7 +93,7 @@ COUNTED = (
     Case("2: 0.132, 0.009", (0.132, 0.009), (0.5, 0.5), 0.002),
     Case("2: 0.1, 0.05", (0.1, 0.05), (0.5, 0.5), 0.002),
     Case("3: 0.3, 0.1, 0.03", (0.3, 0.1, 0.03), (1 / 3, 1 / 3, 1 / 3), 0.0005),
-    Case("2 and an offset of 0.5 %", (0.132, 0.009), (0.5, 0.5), 0.002, 0.005),
+    Case("2: 0.132, 0.009, and an offset of 0.5 %", (0.132, 0.009), (0.5, 0.5), 0.002, 0.005),
 )
 
 
@@ -65,7 +103,7 @@ def _free(data: DecayData, n_states: int) -> DecayFit:
 
 @dataclass(frozen=True)
 class Recovered:
-    """Rates of repeated draws: (n, n_c), and seconds of processor a fit."""
+    """Rates of repeated draws: (n, n_c), NaN where a fit failed; and seconds of processor a fit, the median."""
 
     rates: Array
     seconds: float
@@ -75,89 +113,136 @@ class Recovered:
         return float(np.mean((np.abs(self.rates / truth - 1) < share).all(axis=1)))
 
 
-def recover(case: Case, n: int, fit: Callable[[DecayData], Array] | None = None) -> Recovered:
-    """Fit `n` draws; `fit` returns rates, fast to slow, or NaN where it fails."""
-    chosen = fit or (lambda data: _free(data, len(case.kr)).kr_per_s)
+Rates = Callable[[DecayData], Array]
+"""A fit of two states or more: (n_c,) rates, fast to slow, NaN where it fails."""
+
+
+def our_rates(data: DecayData, n_states: int = 2) -> Array:
+    """Return (n_c,) the rates of our fit, from no guess."""
+    return _free(data, n_states).kr_per_s
+
+
+def _recover(case: Case, fit: Rates, seed: int) -> tuple[Array, float]:
+    data = case.draw(seed)
     started = time.process_time()
-    rates = np.array([chosen(case.draw(seed)) for seed in range(n)])
-    return Recovered(rates, (time.process_time() - started) / n)
+    rates = fit(data)
+    return rates, time.process_time() - started
 
 
-def curve_fit_rates(start: tuple[float, float]) -> Callable[[DecayData], Array]:
-    """Return a fit by scipy's curve_fit, amplitudes from 1, rates from `start`: NaN where it gives up."""
-    import warnings
+def _covered(case: Case, seed: int) -> Array:
+    """Return (2, n_c) whether intervals of 95 % hold each true rate: profile likelihood's, and the covariance's."""
+    fit = _free(case.draw(seed), len(case.kr))
+    ends = rate_intervals(fit)
+    profile = (ends[:, 0] <= case.kr) & (case.kr <= ends[:, 1])
+    return np.array([profile, np.abs(fit.kr_per_s - case.kr) <= 1.96 * fit.kr_standard_error], float)
 
-    from scipy.optimize import OptimizeWarning, curve_fit
 
-    warnings.simplefilter("ignore", OptimizeWarning)
+def _votes(case: Case, seed: int) -> dict[str, int]:
+    """Return the number of states that is chosen, and what each criterion alone would choose."""
+    result = fit_screened(Screened(case.draw(seed), True, (), {}))
+    return {"chosen": result.fit.n_states} | {k: v.n_states for k, v in result.selection.votes.items()}
 
-    def model(t: Array, k1: float, k2: float, *a: float) -> Array:
-        g = np.exp(-np.outer(T_S, (k1, k2)))
-        signal: Array = (g @ np.reshape(a, (2, 3))).T.ravel()
-        return signal
 
-    def fit(data: DecayData) -> Array:
+def whole_rates(data: DecayData) -> Array:
+    """Return (2,) the rates that `phoslab fit` gives for two states without offset."""
+    return fit_screened(Screened(data, True, (), {}), states=2, offset="none").fit.kr_per_s
+
+
+@dataclass(frozen=True)
+class Situation:
+    """A way to measure the usual case, with what is known of it without a fit.
+
+    Args:
+        name: for people.
+        make: seed -> one measurement.
+        variance: (37, 3) of its values; infinite for one that should be left out.
+        peak: what the case's peak of 1 is in its values.
+    """
+
+    name: str
+    make: Callable[[int], DecayData]
+    variance: Array
+    peak: float = 1.0
+
+
+_BUT_FIRST = np.where(np.arange(T_S.size)[:, None] > 0, 1.0, np.inf)
+CLIPPED = Situation("first value clipped at 80 %", USUAL.clipped, USUAL.sigma**2 * _BUT_FIRST * np.ones(3))
+ELECTRONS = Situation("200 electrons at the peak", USUAL.electrons, 200 * USUAL.light, peak=200.0)
+
+
+def _deviation(situation: Situation, fit: Rates, response: Array, seed: int) -> Array:
+    """Return (2, n_c) the relative error of each rate, and what of it is an answer to noise, of mean 0."""
+    data = situation.make(seed)
+    noise = np.where(np.isfinite(situation.variance), data.signal - situation.peak * USUAL.light, 0.0)
+    return np.stack([fit(data) / USUAL.kr - 1, response @ noise.ravel() / situation.peak])
+
+
+class Draws:
+    """Runs draws, on every core or in this process.
+
+    Args:
+        executor: runs them; None: this process.
+        tick: called with the number of draws that are done.
+    """
+
+    def __init__(
+        self, executor: Executor | None = None, tick: Callable[[int], None] = lambda n: None
+    ) -> None:
+        self._executor, self.tick = executor, tick
+
+    def _run(self, work: Callable[[int], T], n: int) -> Iterator[T]:
+        # In pieces of a second or so: larger ones would end unevenly, smaller ones wait for one another.
+        results = (
+            map(work, range(n))
+            if self._executor is None
+            else self._executor.map(work, range(n), chunksize=max(1, min(20, n // 16)))
+        )
+        for result in results:
+            self.tick(1)
+            yield result
+
+    def recover(self, case: Case, n: int, fit: Rates | None = None) -> Recovered:
+        """Fit `n` draws."""
+        chosen = fit or partial(our_rates, n_states=len(case.kr))
+        rates, seconds = zip(*self._run(partial(_recover, case, chosen), n), strict=True)
+        return Recovered(np.array(rates), float(np.median(seconds)))
+
+    def coverage(self, case: Case, n: int) -> tuple[Array, Array]:
+        """Return the share of intervals that hold each true rate: by profile likelihood, and by covariance alone."""
+        profile, normal = np.mean(list(self._run(partial(_covered, case), n)), axis=0)
+        return profile, normal
+
+    def counted(self, case: Case, n: int) -> dict[str, float]:
+        """Return how often the choice and each criterion give the true number of states."""
+        votes = list(self._run(partial(_votes, case), n))
+        return {name: float(np.mean([v.get(name) == len(case.kr) for v in votes])) for name in votes[0]}
+
+    def bias(self, situation: Situation, fit: Rates, n: int) -> tuple[Array, Array]:
+        """Return the mean relative error of the usual case's rates, and its standard error.
+
+        The first-order answer to noise has mean 0 whatever the draws, and is most of the scatter: it is taken off
+        each draw by as much as it goes with the error (a control variate), so that fewer draws see a small bias.
+        """
+        response = USUAL.response(situation.variance / situation.peak**2)
+        work = partial(_deviation, situation, fit, response)
+        error, answer = np.swapaxes(np.array(list(self._run(work, n))), 0, 1)
+        spread = answer - answer.mean(axis=0)
+        slope = (spread * error).sum(axis=0) / (spread**2).sum(axis=0)
+        rest = error - slope * answer
+        return rest.mean(axis=0), rest.std(axis=0, ddof=1) / np.sqrt(n)
+
+
+@contextmanager
+def draws_on_every_core(tick: Callable[[int], None]) -> Iterator[Draws]:
+    """Yield draws that run on as many processes as there are cores, each with one thread of linear algebra."""
+    # Matrices of a hundred rows gain nothing from threads and lose by them. New processes read this as they start.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if cores == 1:
+        yield Draws(None, tick)
+        return
+    with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as executor:
         try:
-            with np.errstate(all="ignore"):
-                found, _ = curve_fit(
-                    model,
-                    np.tile(T_S, 3),
-                    data.signal.T.ravel(),
-                    [*start, *[1.0] * 6],
-                    data.sigma.T.ravel(),
-                    maxfev=5000,
-                )
-        except (RuntimeError, ValueError):
-            return np.full(2, np.nan)
-        return np.sort(found[:2])[::-1]
-
-    return fit
-
-
-def coverage(case: Case, n: int) -> tuple[Array, Array]:
-    """Return how often intervals of 95 % held each true rate: by profile likelihood, and by the covariance alone."""
-    profile, normal = np.zeros(len(case.kr)), np.zeros(len(case.kr))
-    for seed in range(n):
-        fit = _free(case.draw(seed), len(case.kr))
-        ends = rate_intervals(fit)
-        profile += (ends[:, 0] <= case.kr) & (case.kr <= ends[:, 1])
-        normal += np.abs(fit.kr_per_s - case.kr) <= 1.96 * fit.kr_standard_error
-    return profile / n, normal / n
-
-
-def counted(case: Case, n: int) -> dict[str, float]:
-    """Return how often the choice and each criterion give the true number of states."""
-    right: dict[str, int] = {}
-    for seed in range(n):
-        result = fit_screened(Screened(case.draw(seed), True, (), {}))
-        votes = {"chosen": result.fit.n_states} | {k: v.n_states for k, v in result.selection.votes.items()}
-        for name, states in votes.items():
-            right[name] = right.get(name, 0) + (states == len(case.kr))
-    return {name: count / n for name, count in right.items()}
-
-
-def biases(n: int) -> Iterator[tuple[str, Array, Array]]:
-    """Yield a situation, the relative bias of the two rates, and its standard error."""
-    truth = np.array(USUAL.kr)
-
-    def clipped(seed: int) -> DecayData:
-        data = USUAL.draw(seed)
-        signal = data.signal.copy()
-        signal[0] *= 0.8
-        return replace(data, signal=signal)
-
-    def electrons(seed: int) -> DecayData:
-        counts = np.random.default_rng(seed).poisson(200 * USUAL.light).astype(float)
-        return DecayData(T_S, np.zeros(T_S.size), counts, np.sqrt(np.maximum(counts, 1)))
-
-    def whole(data: DecayData) -> Array:
-        return fit_screened(Screened(data, True, (), {}), states=2, offset="none").fit.kr_per_s
-
-    for name, make, fit in (
-        ("first value clipped at 80 %, phoslab", clipped, whole),
-        ("first value clipped at 80 %, kept", clipped, lambda d: _free(d, 2).kr_per_s),
-        ("200 electrons at the peak, phoslab", electrons, whole),
-        ("200 electrons at the peak, weights from the data", electrons, lambda d: _free(d, 2).kr_per_s),
-    ):
-        rates = np.array([fit(make(seed)) for seed in range(n)]) / truth
-        yield name, rates.mean(axis=0) - 1, rates.std(axis=0) / np.sqrt(n)
+            yield Draws(executor, tick)
+        finally:
+            executor.shutdown(cancel_futures=True)

@@ -26,6 +26,7 @@ class Problem:
         constant: whether a constant stands first in the basis.
         rates, linear: certified values, in the order of the basis.
         starts: of the rates.
+        linear_starts: of the linear parameters, for those who search them.
         rate_sd, linear_sd: certified standard deviations.
         sum_of_squares: certified.
     """
@@ -39,6 +40,7 @@ class Problem:
     rate_sd: Array
     linear_sd: Array
     starts: tuple[tuple[float, ...], ...]
+    linear_starts: tuple[tuple[float, ...], ...]
     sum_of_squares: float
 
     @property
@@ -54,6 +56,25 @@ class Problem:
             return phi, derivative
 
         return evaluate
+
+    def matched(self, rates: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return where the certified rates stand among `rates`, and their linear parameters beside the constant."""
+        order = np.argsort(rates)[np.argsort(np.argsort(self.rates))]
+        first = int(self.constant)
+        return order, np.concatenate([np.arange(first), order + first])
+
+    def digits(self, rates: Array, linear: Array) -> float:
+        """Return the correct digits of the worst parameter, whatever the order of the states."""
+        order, columns = self.matched(rates)
+        return min(digits(rates[order], self.rates), digits(linear[columns], self.linear))
+
+    def certified(self, rates: Array, linear: Array) -> bool:
+        """Whether every parameter, rounded as the certificate is, is the certificate's to its last digit."""
+        order, columns = self.matched(rates)
+        pairs = [(rates[order], self.rates), (linear[columns], self.linear)]
+        return all(
+            f"{v:.10e}" == f"{c:.10e}" for value, whole in pairs for v, c in zip(value, whole, strict=True)
+        )
 
 
 def _decay(x: Array, k: float) -> tuple[Array, Array]:
@@ -76,6 +97,7 @@ def _lanczos(digits: int) -> tuple[Array, Array]:
 
 
 _LANCZOS_STARTS = ((0.3, 5.5, 7.6), (0.7, 4.2, 6.3))
+_LANCZOS_LINEAR_STARTS = ((1.2, 5.6, 6.5), (0.5, 3.6, 4.0))
 
 # fmt: off
 _LANCZOS3_Y = np.array([
@@ -95,7 +117,7 @@ LANCZOS1 = Problem(
     linear=np.array([9.5100000027e-02, 8.6070000013e-01, 1.5575999998]),
     rate_sd=np.array([2.7473038179e-10, 3.3308253069e-10, 1.1057500538e-10]),
     linear_sd=np.array([5.3347304234e-11, 1.3576062225e-10, 1.8815731448e-10]),
-    starts=_LANCZOS_STARTS, sum_of_squares=1.4307867721e-25,
+    starts=_LANCZOS_STARTS, linear_starts=_LANCZOS_LINEAR_STARTS, sum_of_squares=1.4307867721e-25,
 )  # fmt: skip
 LANCZOS2 = Problem(
     *_lanczos(6), _decay, False,
@@ -103,7 +125,7 @@ LANCZOS2 = Problem(
     linear=np.array([9.6251029939e-02, 8.6424689056e-01, 1.5529016879]),
     rate_sd=np.array([3.3989646176e-03, 4.1707005856e-03, 1.3958787284e-03]),
     linear_sd=np.array([6.6770575477e-04, 1.7185846685e-03, 2.3744381417e-03]),
-    starts=_LANCZOS_STARTS, sum_of_squares=2.2299428125e-11,
+    starts=_LANCZOS_STARTS, linear_starts=_LANCZOS_LINEAR_STARTS, sum_of_squares=2.2299428125e-11,
 )  # fmt: skip
 LANCZOS3 = Problem(
     _lanczos(5)[0], _LANCZOS3_Y, _decay, False,
@@ -111,13 +133,13 @@ LANCZOS3 = Problem(
     linear=np.array([8.6816414977e-02, 8.4400777463e-01, 1.5825685901]),
     rate_sd=np.array([9.7041624475e-02, 1.0766312506e-01, 3.4436403035e-02]),
     linear_sd=np.array([1.7197908859e-02, 4.1488663282e-02, 5.8371576281e-02]),
-    starts=_LANCZOS_STARTS, sum_of_squares=1.6117193594e-08,
+    starts=_LANCZOS_STARTS, linear_starts=_LANCZOS_LINEAR_STARTS, sum_of_squares=1.6117193594e-08,
 )  # fmt: skip
 BOXBOD = Problem(
     np.array([1.0, 2, 3, 5, 7, 10]), np.array([109.0, 149, 149, 191, 213, 224]), _growth, False,
     rates=np.array([5.4723748542e-01]), linear=np.array([2.1380940889e02]),
     rate_sd=np.array([1.0455993237e-01]), linear_sd=np.array([1.2354515176e01]),
-    starts=((1.0,), (0.75,)), sum_of_squares=1.1680088766e03,
+    starts=((1.0,), (0.75,)), linear_starts=((1.0,), (100.0,)), sum_of_squares=1.1680088766e03,
 )  # fmt: skip
 MGH17 = Problem(
     np.linspace(0.0, 320.0, 33), _MGH17_Y, _decay, True,
@@ -125,14 +147,15 @@ MGH17 = Problem(
     linear=np.array([3.7541005211e-01, 1.9358469127, -1.4646871366]),
     rate_sd=np.array([4.4861358114e-04, 8.9471996575e-04]),
     linear_sd=np.array([2.0723153551e-03, 2.2031669222e-01, 2.2175707739e-01]),
-    starts=((1.0, 2.0), (0.01, 0.02)), sum_of_squares=5.4648946975e-05,
+    starts=((1.0, 2.0), (0.01, 0.02)), linear_starts=((50.0, 150.0, -100.0), (0.5, 1.5, -1.0)),
+    sum_of_squares=5.4648946975e-05,
 )  # fmt: skip
 DANWOOD = Problem(
     np.array([1.309, 1.471, 1.490, 1.565, 1.611, 1.680]), np.array([2.138, 3.421, 3.597, 4.340, 4.882, 5.660]),
     _power, False,
     rates=np.array([3.8604055871]), linear=np.array([7.6886226176e-01]),
     rate_sd=np.array([5.1726610913e-02]), linear_sd=np.array([1.8281973860e-02]),
-    starts=((5.0,), (4.0,)), sum_of_squares=4.3173084083e-03,
+    starts=((5.0,), (4.0,)), linear_starts=((1.0,), (0.7,)), sum_of_squares=4.3173084083e-03,
 )  # fmt: skip
 
 PROBLEMS = {
