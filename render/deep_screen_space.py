@@ -125,7 +125,7 @@ class DeepScreenSpace:
         if splats.count:
             self._quads.render(vertices=6 * splats.count)
         ctx.enable_only(moderngl.NOTHING)
-        ctx.blend_func = moderngl.DEFAULT_BLENDING
+        ctx.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
 
     def _unshuffle(self, level: int) -> None:
         shader = self._device.compute("shell_unshuffle")

@@ -95,7 +95,7 @@ class View:
         """Return the view of `camera`; `radius` is a surfel's on the screen, over half the picture's height."""
         eye = np.linalg.inv(camera.world_to_view)[:3, 3]
         return View(
-            (eye - extent.centre) / extent.radius,
+            np.asarray((eye - extent.centre) / extent.radius, dtype=np.float64),
             radius * float(np.tan(camera.yfov_rad / 2)),
             max(camera.near_m / extent.radius, NEAREST),
         )
