@@ -240,7 +240,8 @@ class _Job:
         if session is None:
             how = f"record it with `phoslab measure {plan}`"
             how += "" if calibration is not None else " and the filter with `phoslab measure lvf`"
-            self._lack(what, f"no session of the plan {plan!r} is among those named; {how}.", lent=plan)
+            self._lack(what, f"no session of the plan {plan!r} is among those named; {how}.")
+            return None
         if calibration is None:
             self._lack(what, _NO_CALIBRATION)
             return None
