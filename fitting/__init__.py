@@ -1,4 +1,4 @@
 """From recorded sessions to materials, offline."""
 
 from phoslab.fitting.result import FitResult as FitResult
-from phoslab.fitting.result import fit_session as fit_session
+from phoslab.fitting.session_fit import fit_session as fit_session

@@ -45,6 +45,7 @@ class ExcitationFit:
         ke_upper_limit: (n_c, n_bands) for a `ke` of 0 what it stays below with 95 %, given Λ; else NaN.
         a_per_s: (n_c,) excitation under the whole lamp, light outside the bands included.
         initial: (n_c,) r(0) of the decay: how full each state was when the lamp went off.
+        gain_error: (n_c,) standard error of log G, which is that of log Λ.
         scale_error: (n_c,) standard error of log a: how well saturation, and with it ke and Λ apart, are known.
         product: (n_c, n_bands) G_i ke_ij, Λ ke as the camera sees it; determined even where the factors are not.
         product_standard_error: (n_c, n_bands).
@@ -68,6 +69,7 @@ class ExcitationFit:
     ke_upper_limit: Array
     a_per_s: Array
     initial: Array
+    gain_error: Array
     scale_error: Array
     product: Array
     product_standard_error: Array
@@ -248,6 +250,9 @@ def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit
     product, product_by = _product(problem, theta)
     product_error = _errors(product_by, covariance)
     seen = product > _ONE_SIDED * product_error
+    if problem.common:
+        # One spectrum for all: a band that excites any state excites all of them.
+        seen = np.broadcast_to(seen.any(axis=0), seen.shape)
     upper = np.full(ke.shape, np.nan)
     if limits:
         allowed = best.search.chi2 + _ONE_SIDED**2 * misfit
@@ -268,6 +273,7 @@ def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit
         ke_upper_limit=upper,
         a_per_s=a,
         initial=initial,
+        gain_error=_errors(gain_by, covariance),
         scale_error=_errors(log_a_by, covariance),
         product=product,
         product_standard_error=product_error,

@@ -34,34 +34,42 @@ def doubts(fit: ExcitationFit) -> tuple[str, ...]:
             f"After the longest exposure the modelled glow is off by {np.nanmedian(off):.1%} (median of the bright "
             f"places, worst {np.nanmax(off):.1%})."
         )
-    for i in np.flatnonzero(fit.product_only):
+    loose = fit.kr_per_s[fit.product_only]
+    if loose.size:
         found.append(
-            f"State {i} stays too far from saturation, or is too weak, to tell ke from Λ: only their product is "
-            "determined. If ke is larger by a factor, Λ is smaller by it."
+            f"How full the states of {', '.join(f'{kr:.3g}' for kr in loose)} 1/s become is not known well enough to "
+            "tell ke from Λ: only their product is determined. If ke is larger by a factor, Λ is smaller by it."
         )
     return tuple(found)
 
 
 def report(fit: ExcitationFit) -> str:
     """Return the fit as text: parameters with errors, limits, what is correlated, warnings."""
+    said = doubts(fit)
+    warnings = ["[[warnings]]", *(f"  {text}" for text in said)] if said else []
+    return "\n".join([*lines(fit), *warnings]) + "\n"
+
+
+def lines(fit: ExcitationFit) -> list[str]:
+    """Return the fit line by line, without its warnings."""
     shape = "one spectrum for all states" if fit.common_shape else "a spectrum of its own for each state"
-    lines = [
+    told = [
         f"[[excitation: {fit.n_states} state{'s' if fit.n_states > 1 else ''}, {shape}]]",
         f"  chi-square / dof        {fit.chi2:.4g} / {fit.dof} = {fit.chi2 / max(fit.dof, 1):.3g}",
     ]
     if np.isfinite(fit.level_error).any():
         off = np.abs(fit.level_error)
-        lines.append(
+        told.append(
             f"  level reached           missed by {np.nanmedian(off):.1%} (median), {np.nanmax(off):.1%} (worst)"
         )
     if np.isfinite(fit.rise_ratio):
         measured = float(np.nanmedian(fit.rise_s[:, 0]))
-        lines.append(
+        told.append(
             f"  time to half of it      {measured:.3g} s measured, {fit.rise_ratio:.2f} of that modelled"
         )
     for i in range(fit.n_states):
         only = ", only Λ ke is determined" if fit.product_only[i] else ""
-        lines += [
+        told += [
             f"[[state {i}{only}]]",
             f"  a under the lamp [1/s]  {fit.a_per_s[i]:.4g} ({_share(fit.scale_error[i])})",
             f"  r when the lamp went off  {fit.initial[i]:.3f}",
@@ -73,17 +81,14 @@ def report(fit: ExcitationFit) -> str:
             ke, product = fit.ke_m2_per_J[i, j], fit.product[i, j]
             if ke > 0:
                 error = fit.product_standard_error[i, j] / product
-                lines.append(
+                told.append(
                     f"{name}{ke:.4g} m²/J ({_share(fit.ke_standard_error[i, j] / ke)}; Λ ke {_share(error)})"
                 )
             elif np.isfinite(fit.ke_upper_limit[i, j]):
-                lines.append(f"{name}below {fit.ke_upper_limit[i, j]:.2g} m²/J (95 %)")
+                told.append(f"{name}below {fit.ke_upper_limit[i, j]:.2g} m²/J (95 %)")
             else:
-                lines.append(f"{name}below the limit of detection, which could not be found")
-    said = doubts(fit)
-    if said:
-        lines += ["[[warnings]]", *(f"  {text}" for text in said)]
-    return "\n".join(lines) + "\n"
+                told.append(f"{name}below the limit of detection, which could not be found")
+    return told
 
 
 def _share(error: float) -> str:

@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
+from phoslab.fitting.card import Shading
 from phoslab.fitting.find_strip import find_strip
 from phoslab.fitting.lvf_curves import GRID_NM, X_NM, Curves, fit_curves
-from phoslab.fitting.photon_transfer import Noise, photon_transfer
+from phoslab.fitting.measured_camera import MeasuredCamera, measure_camera
+from phoslab.fitting.photon_transfer import Noise
 from phoslab.fitting.sensitivities import Sensitivities
-from phoslab.fitting.settings import Settings, fit_settings
+from phoslab.fitting.settings import Settings
 from phoslab.fitting.strip_light import StripLight, read_light
 from phoslab.fitting.wavelength_map import NM, KnownLight, WavelengthMap, fit_map
 from phoslab.raw import preview
@@ -65,6 +67,7 @@ class Calibration:
         warnings: one sentence each.
         settings_misfit: of the overlaps, None without flats.
         noise: of the camera by ISO; empty without flats.
+        shading: how unevenly an even card shows under the lamp; None without flats.
     """
 
     strip: Strip
@@ -81,6 +84,12 @@ class Calibration:
     warnings: tuple[str, ...] = field(default=())
     settings_misfit: float | None = None
     noise: Mapping[float, Noise] = field(default_factory=dict)
+    shading: Shading | None = None
+
+    @property
+    def body(self) -> MeasuredCamera:
+        """The camera as the flats of this calibration showed it."""
+        return MeasuredCamera(self.settings, self.settings_misfit, self.noise, self.shading)
 
     def reading(self, shift_px: float = 0.0) -> Array:
         """(n_k, n) weights that turn values at the strip's nodes into means over each position; NaN off the strip.
@@ -136,13 +145,10 @@ def calibrate(
             warnings.append(
                 f"{s.path}: is of the plan {s.header.plan!r}, which calibrates nothing, and is left out."
             )
-    settings, misfit = Settings(), None
-    noise: dict[float, Noise] = {}
+    body = MeasuredCamera()
     if flats:
-        fit = fit_settings(flats[-1], progress)
-        settings, misfit = fit.settings, fit.misfit
-        noise = photon_transfer(flats[-1])
-        warnings += fit.warnings
+        body = measure_camera(flats[-1], progress)
+        warnings += body.warnings
     else:
         warnings.append(
             "There is no session of the plan 'flats': exposure times, ISO and apertures count as the "
@@ -152,7 +158,7 @@ def calibrate(
     sensitivities = Sensitivities.of(camera or main.header.sensitivities, file=main.path)
     known = _known_filters(main, warnings)
     light = led or _rig_led(main)
-    strip, lights = _read(main, known, settings, warnings, progress)
+    strip, lights = _read(main, known, body.settings, warnings, progress)
     mercury = lights.get("mercury")
     roles = [r for r in ("led", *(f"filter:{n}" for n in known)) if r in lights]
     if light is None and roles:
@@ -236,14 +242,15 @@ def calibrate(
         curves=curves,
         absolute=absolute,
         sensitivities=sensitivities.times(gains),
-        settings=settings,
+        settings=body.settings,
         light=light if roles else None,
         filters=filters,
         sessions=tuple((s.path.resolve().name, s.header.plan, s.digest) for s in (main, *flats[-1:])),
         simulated=(main.header.simulated or {}).get("statement"),
         warnings=tuple(dict.fromkeys(warnings)),
-        settings_misfit=misfit,
-        noise=noise,
+        settings_misfit=body.settings_misfit,
+        noise=body.noise,
+        shading=body.shading,
     )
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from phoslab import __version__, journal, schemas
 from phoslab.errors import PhoslabError
 from phoslab.files import read_regular, sha256, write_text
+from phoslab.fitting.card import Shading
 from phoslab.fitting.lvf import POSITIONS_NM, Calibration
 from phoslab.fitting.lvf_curves import GRID_NM, Curves
 from phoslab.fitting.photon_transfer import Noise
@@ -91,6 +92,13 @@ def save(calibration: Calibration, path: Path) -> None:
             }
             for iso, n in sorted(c.noise.items())
         ],
+        "shading": None
+        if c.shading is None
+        else {
+            "shape_px": list(c.shading.shape),
+            "coefficients": c.shading.coefficients.tolist(),
+            "misfit": c.shading.misfit,
+        },
         "light": c.light,
         "filters": list(c.filters),
         "warnings": list(c.warnings),
@@ -145,6 +153,7 @@ def _calibration(data: dict[str, Any]) -> Calibration:
             curve, error, *(curves[k] for k in ("misfit", "scale", "degrees", "strength", "at_end"))
         )
     ends = (float(at["ends_px"][0]), float(at["ends_px"][1]))
+    shading = data.get("shading")  # files of before it was measured have none
     return Calibration(
         strip=Strip(
             shape=(strip["shape_px"][0], strip["shape_px"][1]),
@@ -189,7 +198,13 @@ def _calibration(data: dict[str, Any]) -> Calibration:
             )
             for n in data["noise"]
         },
+        shading=None if shading is None else _shading(shading),
     )
+
+
+def _shading(data: dict[str, Any]) -> Shading:
+    shape = (data["shape_px"][0], data["shape_px"][1])
+    return Shading(shape, np.array(data["coefficients"], float), data["misfit"])
 
 
 def _with_error(values: list[float]) -> tuple[float, float]:

@@ -44,6 +44,10 @@ class Noise:
     pairs: int
     chi2_per_dof: float
 
+    def variance(self, signal_dn: Array) -> Array:
+        """Noise variance in DN² of a pixel with a signal in DN above black."""
+        return np.asarray(self.read_dn[0] ** 2 + self.gain[0] * np.maximum(signal_dn, 0.0))
+
 
 def photon_transfer(session: Session) -> dict[float, Noise]:
     """Noise by ISO from a session of the plan `flats`; an ISO with fewer than two levels is left out.
@@ -60,10 +64,8 @@ def photon_transfer(session: Session) -> dict[float, Noise]:
             file=session.path,
             remedy="Record a session of the plan 'flats': noise is told from pairs.",
         )
-    answers = [
-        decoded("phoslab.raw_pairs:job_pair", [a.path], {"other": str(b.path.absolute())})[0]
-        for a, b in pairs
-    ]
+    others = [{"other": str(b.path.absolute())} for _, b in pairs]
+    answers = decoded("phoslab.raw_pairs:job_pair", [a.path for a, _ in pairs], others)
     found = {}
     for iso in sorted({a.iso for a, _ in pairs}):
         mine = [(pair, answer) for pair, answer in zip(pairs, answers, strict=True) if pair[0].iso == iso]

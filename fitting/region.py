@@ -12,6 +12,7 @@ from phoslab.raw import Preview
 # The border of the sample is blurred by the lens and shaded by its own edge: this share of its radius is left out.
 _RIM = 0.15
 _SMALLEST_AREA_BINS = 50
+_CLEAR_BINS = 4.0
 # A glow that stands less than this many times the background's spread above it cannot be outlined.
 _CONTRAST = 6.0
 
@@ -25,6 +26,25 @@ def find_sample(preview: Preview) -> NDArray[np.bool_]:
     Raises:
         PhoslabError: nothing in the frame stands out.
     """
+    blob = _blob(preview)
+    depth = cv2.distanceTransform(np.pad(blob, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    return preview.full_mask(depth > max(1.0, _RIM * float(depth.max())))
+
+
+def surroundings(preview: Preview) -> NDArray[np.bool_] | None:
+    """Return (h, w) the pixels well off the sample, where only scattered light is seen; None if there are too few.
+
+    Raises:
+        PhoslabError: as `find_sample`.
+    """
+    away = cv2.distanceTransform(1 - _blob(preview), cv2.DIST_L2, 5)
+    # The lens's blur, some bins of it, is not what it scatters over all of the frame.
+    outside = away > _CLEAR_BINS
+    return preview.full_mask(outside) if outside.sum() >= _SMALLEST_AREA_BINS else None
+
+
+def _blob(preview: Preview) -> NDArray[np.uint8]:
+    """The largest bright area, in bins."""
     # Each channel by its own noise: a channel without light must not drown the others.
     level = preview.image - np.median(preview.image, axis=(0, 1))
     grey = cv2.GaussianBlur((level / (level.std(axis=(0, 1)) + 1e-12)).sum(axis=2), (0, 0), sigmaX=1.5)
@@ -38,8 +58,7 @@ def find_sample(preview: Preview) -> NDArray[np.bool_]:
     outside = grey[bright == 0]
     if not outside.size or grey[blob > 0].mean() - outside.mean() < _CONTRAST * outside.std():
         raise _nothing(preview)
-    depth = cv2.distanceTransform(np.pad(blob, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
-    return preview.full_mask(depth > max(1.0, _RIM * float(depth.max())))
+    return np.asarray(blob, dtype=np.uint8)
 
 
 def _nothing(preview: Preview) -> PhoslabError:

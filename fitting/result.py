@@ -1,37 +1,41 @@
-"""Fitting a session to a material, and the report a person reads."""
+"""A fitted material with all that it rests on, and the report a person reads."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import phoslab
-from phoslab import presets, spectra
-from phoslab.errors import PhoslabError, printable
-from phoslab.fitting.decay import MOST_STATES, DecayFit, fit_decay
-from phoslab.fitting.emission import match_colour, re_radiation
-from phoslab.fitting.holdout import NOISE_ALLOWANCE, HoldOut, hold_out
-from phoslab.fitting.intervals import rate_intervals
-from phoslab.fitting.reduction import ReducedDecay, reduce_decay
-from phoslab.fitting.selection import Selection, select
-from phoslab.kinetics import equilibrium
+from phoslab.fitting import excitation_report
+from phoslab.fitting.decay import DecayFit
+from phoslab.fitting.excitation import ExcitationFit
+from phoslab.fitting.excitation_series import ExcitationSeries
+from phoslab.fitting.holdout import NOISE_ALLOWANCE, HoldOut
+from phoslab.fitting.lamp_light import LampLight
+from phoslab.fitting.reduction import ReducedDecay
+from phoslab.fitting.selection import Selection
+from phoslab.fitting.spectrum import Spectrum
 from phoslab.material import Material
-from phoslab.session import Session
 
 Array = NDArray[np.float64]
 
-# More than noise explains: camera responses and emission spectra agree better than this when they belong together.
-_COLOUR_MISMATCH = 0.05
-_MISFIT = 2.0
-_FEW_DOF = 10
-# What a session of some minutes is fitted with unless more is asked for.
-_AUTOMATIC = (1, 2, 3)
+
+@dataclass(frozen=True, eq=False)
+class MeasuredExcitation:
+    """Where the excitation rates come from.
+
+    Args:
+        fit: the rates.
+        series: what they were fitted to.
+        lamp: the lamp's light that they refer to.
+    """
+
+    fit: ExcitationFit
+    series: ExcitationSeries
+    lamp: LampLight
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,10 @@ class FitResult:
         reduced: the measured decay, and where in the frames it was measured.
         held_out: how each number of states predicts frames that it has not seen.
         assumed: what was not measured but taken from elsewhere, in one sentence.
+        missing: what would have to be measured for a whole material, and how; one sentence each.
         warnings: one sentence each.
+        spectrum: of the glow, if it was measured.
+        excitation: the excitation rates, if they were measured.
     """
 
     material: Material
@@ -56,7 +63,10 @@ class FitResult:
     reduced: ReducedDecay
     held_out: tuple[HoldOut, ...]
     assumed: str
+    missing: tuple[str, ...]
     warnings: tuple[str, ...]
+    spectrum: Spectrum | None = None
+    excitation: MeasuredExcitation | None = None
 
     @property
     def uncertainty(self) -> Mapping[str, Any]:
@@ -68,6 +78,7 @@ class FitResult:
         fit, data = self.fit, self.reduced.data
         lines = [
             f"Note: {self.assumed}",
+            *(f"Missing: {text}" for text in self.missing),
             "",
             f"[[{self.material.name}: decay, {fit.n_states} exponential{'s' if fit.n_states > 1 else ''}]]",
             f"  frames                  {data.t_s.size}, {data.t_s[0]:.3g} s to {data.t_s[-1]:.4g} s after lamp-off",
@@ -106,153 +117,28 @@ class FitResult:
             lines.append(
                 f"  (fitted to every second frame; {NOISE_ALLOWANCE:g} standard deviations of noise are taken off)"
             )
+        if self.spectrum is not None:
+            lines += self._spectrum_lines()
+        if self.excitation is not None:
+            lines += excitation_report.lines(self.excitation.fit)
+            lines.append(f"  lamp                    {self.excitation.lamp.said}")
         if self.warnings:
             lines.append("[[warnings]]")
             lines += [f"  {w}" for w in self.warnings]
         return "\n".join(lines) + "\n"
 
-
-def fit_session(
-    paths: Sequence[str | os.PathLike[str]],
-    *,
-    preset: str,
-    states: int | str = "auto",
-    name: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> FitResult:
-    """Fit a material to a recorded decay session (Nalbach 2017, 8.4.4 and 8.4.5).
-
-    Args:
-        paths: the session's folder; one decay session.
-        preset: the material that lends what a decay does not tell: excitation rates (its first state's row, for
-            every state), the lamp they refer to, and the shape of the emission spectrum.
-        states: 1 to 3, or "auto" for the number of smallest AICc.
-        name: of the material; by default the sample's.
-        progress: called with (frames done, frames in all).
-
-    Raises:
-        PhoslabError: the session or an argument is not usable.
-    """
-    if len(paths) != 1:
-        raise PhoslabError(
-            f"names {len(paths)} sessions", field="the fit", remedy="Name one session, that of the decay."
-        )
-    if states != "auto" and states not in range(1, MOST_STATES + 1):
-        raise PhoslabError(f"is {states!r}", field="states", remedy=f"Use auto, or 1 to {MOST_STATES}.")
-    lender = presets.preset(preset)
-    session = Session.open(paths[0])
-    camera = session.header.sensitivities
-    if camera is None:
-        raise PhoslabError(
-            "does not name the camera's spectral sensitivities",
-            file=session.path / "session.toml",
-            field="camera.sensitivities",
-            remedy="Name a camera of colour-science: signal cannot be turned into a spectrum without.",
-        )
-    spectra.camera_sensitivities(camera, file=session.path / "session.toml")  # before the work, not after it
-    reduced = reduce_decay(session, progress)
-    selection = select(
-        reduced.data,
-        states=_AUTOMATIC if states == "auto" else [int(states)],
-        offsets=[False],
-        rank_one=True,
-    )
-    chosen = selection.chosen
-    fit = fit_decay(reduced.data, chosen.n_states, near=[chosen.fit.theta[: chosen.n_states]])
-
-    spectrum = lender.kr_per_s @ lender.emission
-    spectrum = spectrum / spectrum.max()
-    beta, mismatch = match_colour(fit.colour, spectra.camera_response(spectrum, lender.bands, camera))
-    emission, emission_error = re_radiation(fit, spectrum, beta)
-    warnings = [*reduced.warnings, *_doubts(fit, states, mismatch, preset)]
-    data = reduced.data
-    assumed = (
-        f"excitation rates, lamp and the shape of the emission spectrum are those of the preset {preset!r}, not "
-        "measured; every state was full (r = 1) when the lamp went off."
-    )
-    if session.header.simulated is not None:
-        assumed += " The session is simulated."
-    known = {"kr_per_s": fit.kr_standard_error, "emission": emission_error}
-    material = Material(
-        name=name or printable(session.header.sample_name),
-        bands=lender.bands,
-        kr_per_s=fit.kr_per_s,
-        ke_m2_per_J=np.repeat(lender.ke_m2_per_J[:1], fit.n_states, axis=0),
-        emission=emission,
-        calibration="relative",
-        reference_irradiance=lender.reference_irradiance,
-        standard_error={k: v.tolist() for k, v in known.items() if np.isfinite(v).all()} or None,
-        covariance=_covariance(fit, data.channels),
-        valid_s=(0.0, float(data.t_s[-1] + data.exposure_s[-1])),
-        provenance={
-            "sessions": [{"name": Path(session.path).resolve().name, "sha256": session.digest}],
-            "software": f"phoslab {phoslab.__version__}",
-            "settings": {"states": states, "preset": preset, "camera": camera},
-            "radiance_unit": f"DN per second at ISO 100 and f/1 of {camera}",
-            "assumed": assumed,
-            "simulated": session.header.simulated is not None,
-        },
-    )
-    if material.reference_irradiance is not None and not np.isnan(material.ke_m2_per_J).any():
-        charged = equilibrium(material, material.reference_irradiance)
-        start = float((charged * fit.strength).sum() / fit.strength.sum())
-        warnings.append(
-            f"Under the lamp of {preset!r} the states would charge to r = "
-            f"{', '.join(f'{r:.2f}' for r in charged)} and not to 1: rendered after that lamp, the glow starts at "
-            f"{start:.0%} of what was measured."
-        )
-    return FitResult(
-        material=material,
-        fit=fit,
-        selection=selection,
-        interval95=rate_intervals(fit),
-        reduced=reduced,
-        held_out=tuple(hold_out(data)),
-        assumed=assumed,
-        warnings=tuple(warnings),
-    )
-
-
-def _doubts(fit: DecayFit, states: int | str, mismatch: float, preset: str) -> list[str]:
-    """Say what about a fit should not be believed."""
-    doubts = []
-    if fit.degenerate and fit.n_states > 1:
-        doubts.append(
-            f"{fit.n_states} states were asked for, but the data do not tell them apart: "
-            "one has no amplitude, or two have the same rate."
-        )
-    if fit.chi2 > _MISFIT * fit.dof:
-        doubts.append(
-            f"The model misses the data by more than their noise (chi-square / dof {fit.chi2 / fit.dof:.1f}): this "
-            f"decay is not a sum of so few exponentials. The standard errors are widened by the root of that."
-        )
-    if fit.dof < _FEW_DOF:
-        doubts.append(
-            f"{fit.dof + fit.n_parameters} values for {fit.n_parameters} parameters are few: the errors "
-            "are themselves uncertain."
-        )
-    lost = fit.kr_standard_error > fit.kr_per_s
-    if lost.any():
-        doubts.append(
-            f"The data do not determine the rate{'s' if lost.sum() > 1 else ''} "
-            f"{', '.join(f'{kr:.2g}' for kr in fit.kr_per_s[lost])} 1/s: the error is as large as the value."
-        )
-    if mismatch > _COLOUR_MISMATCH:
-        doubts.append(
-            f"The camera saw a colour {mismatch:.0%} away from what the spectrum of {preset!r} would give: "
-            "the glow has another spectrum."
-        )
-    return doubts
-
-
-def _covariance(fit: DecayFit, channels: Sequence[str]) -> dict[str, Any] | None:
-    if not np.isfinite(fit.covariance).all():
-        return None
-    strongest = int(np.argmax(fit.colour))
-    names = [f"log kr_per_s[{i}]" for i in range(fit.n_states)]
-    names += [f"colour {c}" for k, c in enumerate(channels) if k != strongest]
-    names += [f"amplitude[{i}]" for i in range(fit.n_states)]
-    return {"parameters": names, "matrix": fit.covariance.tolist()}
+    def _spectrum_lines(self) -> list[str]:
+        """The spectrum of the glow by band."""
+        assert self.spectrum is not None
+        means, errors = self.spectrum.band_means(self.material.bands)
+        lines = [
+            "[[emission spectrum]]",
+            f"  peak                    {self.spectrum.peak_nm:.1f} nm",
+            f"  misfit                  {self.spectrum.scaled_misfit:.2f} of what noise and calibration explain",
+        ]
+        for j, (mean, error) in enumerate(zip(means / means.max(), errors / means.max(), strict=True)):
+            lines.append(f"  {self.material.bands.label(j)}".ljust(26) + f"{mean:.4f} ± {error:.4f}")
+        return lines
 
 
 def _with_error(value: float, error: float) -> str:

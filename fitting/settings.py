@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
+from phoslab.fitting.card import find_card
 from phoslab.raw import frame_means, preview
 from phoslab.session import Frame, Session
 
@@ -53,6 +54,12 @@ class Settings:
     """
 
     corrections: Mapping[tuple[str, float], tuple[float, float]] = field(default_factory=dict)
+
+    def exposure_s(self, dial_s: float) -> float:
+        """How long the shutter is really open where the dial says `dial_s`."""
+        return meant("exposure_s", dial_s) * math.exp(
+            self.corrections.get(("exposure_s", dial_s), (0.0, 0.0))[0]
+        )
 
     def gain(self, exposure_s: float, iso: float, f_number: float | None) -> float:
         """Signal of a given light, relative to 1 s at ISO 100 and f/1.
@@ -164,12 +171,11 @@ def _setting(frame: Frame) -> dict[str, float]:
 def _levels(
     flats: list[Frame], darks: tuple[Frame, ...], progress: Callable[[int, int], None] | None
 ) -> dict[str, tuple[float, float] | None]:
-    """Signal of the brightest colour in the middle of each frame and its relative noise; None if it is
+    """Signal of the brightest colour on the card in each frame and its relative noise; None if it is
     saturated or weak."""
-    h, w = preview(flats[0].path, largest=64).shape
-    middle = (h // 4, 3 * h // 4, w // 4, 3 * w // 4)
+    card = find_card(preview(flats[0].path)).mask(rim=0.2)
     needed = [f for f in darks if (f.exposure_s, f.iso) in {(u.exposure_s, u.iso) for u in flats}]
-    means = frame_means([*flats, *needed], middle, progress=progress)
+    means = frame_means([*flats, *needed], card, progress=progress)
     dark_means: dict[tuple[float, float], list[Array]] = {}
     for frame, found in zip(needed, means[len(flats) :], strict=True):
         dark_means.setdefault((frame.exposure_s, frame.iso), []).append(found.mean)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
+from phoslab.fitting.card import Shading
 from phoslab.fitting.find_strip import follow_strip
 from phoslab.fitting.lvf import POSITIONS_NM, Calibration, positions, shading
 from phoslab.fitting.lvf_curves import GRID_NM
@@ -25,6 +26,7 @@ from phoslab.fitting.regularised import Normal, Solution, second_differences, so
 from phoslab.fitting.strip_light import StripLight, read_light
 from phoslab.raw import preview
 from phoslab.session import Frame, Session
+from phoslab.strip import Strip
 
 Array = NDArray[np.float64]
 
@@ -116,7 +118,8 @@ def measure_spectrum(
     """Measure the spectrum of a session of the plan `lamp` or `emission`.
 
     Args:
-        flat: a session of the same scene without the strip: `flats` for a lamp, `decay` for a sample.
+        flat: a session of the same scene without the strip: `flats` for a lamp (if the calibration has not seen it),
+            `decay` for a sample.
         progress: called with (frames done, frames in all).
 
     Raises:
@@ -166,7 +169,9 @@ def measure_spectrum(
             remedy="Record the session anew, with dark frames at the same settings and without saturation.",
         )
     evenness = None
-    if flat is None:
+    if flat is None and plan == "lamp" and calibration.shading is not None:
+        evenness = _shaded(calibration.shading, calibration.strip)
+    elif flat is None:
         other = "flats" if plan == "lamp" else "decay"
         warnings.append(
             f"How unevenly the {'card is lit' if plan == 'lamp' else 'sample glows'} is taken for a "
@@ -318,6 +323,12 @@ def _evenness(path: Path, calibration: Calibration) -> tuple[Array | None, list[
     if not lights:
         return None, [*said, f"{path}: has no frame that says how evenly the scene is lit."]
     return shading(lights[0], 4 if role == "flat" else 12), said
+
+
+def _shaded(shading: Shading, strip: Strip) -> Array:
+    """(n,) how evenly the card shows along the strip, mean 1, as flats have told."""
+    value = shading.at(*strip.middle())
+    return np.asarray(value / value.mean())
 
 
 def _hidden(calibration: Calibration) -> str:

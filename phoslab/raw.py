@@ -166,6 +166,55 @@ def frame_means(
     return tuple(results)
 
 
+def regions_means(
+    frames: Sequence[Frame],
+    regions: Sequence[NDArray[np.bool_]],
+    *,
+    find_hot: bool = False,
+    workers: Workers | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[list[tuple[RegionMeans, ...]], list[NDArray[np.int64]]]:
+    """`frame_means` over several regions at once: each frame is decoded once, and forgotten.
+
+    Args:
+        frames: the session's frames.
+        regions: masks (h, w), the same for all frames.
+        find_hot: for dark frames: also find pixels that stand out, and leave them out of the means.
+        progress: called with (frames done, frames in all).
+
+    Returns:
+        For each frame the means of each region; and the flat indices of its hot pixels.
+
+    Raises:
+        PhoslabError: as `frame_means`.
+    """
+    parameters = {
+        "masks": np.stack([np.packbits(region) for region in regions]),
+        "mask_shape": list(regions[0].shape),
+        "find_hot": find_hot,
+    }
+    paths = [frame.path for frame in frames]
+    answers = decoded("phoslab.raw_worker:job_regions", paths, parameters, workers, progress)
+    results, hot = [], []
+    for frame, answer in zip(frames, answers, strict=True):
+        check_settings(frame, answer)
+        about: dict[str, Any] = {
+            "exposure_s": frame.exposure_s,
+            "iso": frame.iso,
+            "f_number": frame.f_number or answer["f_number"],
+            "shape": tuple(answer["shape"]),
+        }
+        parts = ("mean", "variance", "n_pixels", "n_saturated", "full_scale")
+        results.append(
+            tuple(
+                RegionMeans(path=frame.path, **{part: answer[part][k] for part in parts}, **about)
+                for k in range(len(regions))
+            )
+        )
+        hot.append(answer["hot"])
+    return results, hot
+
+
 def preview(path: str | os.PathLike[str], *, largest: int = 512, workers: Workers | None = None) -> Preview:
     """Bin one frame to a linear RGB picture of at most `largest` bins a side.
 
@@ -238,11 +287,14 @@ def check_settings(frame: Frame, found_in_file: Mapping[str, Any]) -> None:
 def decoded(
     job: str,
     paths: Sequence[Path],
-    parameters: dict[str, Any],
+    parameters: dict[str, Any] | Sequence[dict[str, Any]],
     workers: Workers | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Run a job ("module:function") on every file in the limited workers; the answers in order.
+
+    Args:
+        parameters: of the job; the same for all files, or one for each.
 
     Raises:
         PhoslabError: a file is missing, or its job failed or refused it.
@@ -251,7 +303,8 @@ def decoded(
         if not path.is_file():
             raise PhoslabError("does not exist", file=path, remedy="Name a RAW file (DNG, CR2, NEF ...).")
     answers: dict[int, dict[str, Any]] = {}
-    jobs = [{"path": str(path.absolute()), **parameters} for path in paths]
+    each = [parameters] * len(paths) if isinstance(parameters, dict) else parameters
+    jobs = [{"path": str(path.absolute()), **own} for path, own in zip(paths, each, strict=True)]
     for index, answer in (workers or shared()).run_as_done(job, jobs):
         if isinstance(answer, Failure):
             raise PhoslabError(

@@ -134,8 +134,8 @@ def job_means(
     use = np.zeros((h, w), dtype=bool)
     if mask is not None and mask_shape is not None:
         if mask_shape != [h, w]:
-            return _region_refused(f"has {h} x {w} pixels where the region's mask has {mask_shape}")
-        use = np.unpackbits(mask, count=h * w).reshape(h, w).astype(bool)
+            return _mask_refused(frame, mask_shape)
+        use = _unpacked(mask, frame)
     elif box is not None:
         y0, y1, x0, x1 = box
         if not (0 <= y0 < y1 <= h and 0 <= x0 < x1 <= w):
@@ -143,6 +143,78 @@ def job_means(
         use[y0:y1, x0:x1] = True
     if not use.any():
         return _region_refused("has no pixel in the region")
+    return {**_means(frame, use), **_about(frame)}
+
+
+def job_regions(path: str, masks: NDArray[np.uint8], mask_shape: list[int], find_hot: bool) -> dict[str, Any]:
+    """Means as in `job_means` over several regions of one frame, stacked; one decoding serves all.
+
+    Args:
+        masks: (n_regions, bytes) packed.
+        find_hot: also return `hot`, the flat indices of pixels in the masks that stand far above their kind, as hot
+            ones do in the dark, and leave them out of the means.
+    """
+    frame = decode(path)
+    if isinstance(frame, dict):
+        return frame
+    if mask_shape != list(frame.values.shape):
+        return _mask_refused(frame, mask_shape)
+    uses = [_unpacked(mask, frame) for mask in masks]
+    hot = np.zeros(0, np.int64)
+    if find_hot:
+        hot = _hot(frame, np.any(uses, axis=0))
+        for use in uses:
+            use.ravel()[hot] = False
+    if not all(use.any() for use in uses):
+        return _region_refused("has no pixel in the region")
+    found = [_means(frame, use) for use in uses]
+    return {**{key: np.stack([f[key] for f in found]) for key in found[0]}, "hot": hot, **_about(frame)}
+
+
+_HOT = 8.0
+"""Standard deviations above the median of its colour from which a pixel in the dark is hot: one in 10^15 by noise."""
+
+_MOST_HOT = 0.02
+"""Where more than this share of the pixels stands out, it is no defect of single pixels."""
+
+
+def _hot(frame: RawFrame, use: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Flat indices of hot pixels among those in use."""
+    found = np.zeros(use.shape, dtype=bool)
+    for _, (x, u, f) in planes(frame.cfa, frame.values, use, found):
+        some = x[u]
+        if not some.size:
+            continue
+        # Some 10^5 pixels tell a median well enough.
+        some = some[:: max(1, some.size // 100_000)].astype(float)
+        middle = float(np.median(some))
+        spread = max(1.4826 * float(np.median(np.abs(some - middle))), 1.0)
+        f |= u & (x > middle + _HOT * spread)
+    hot = np.flatnonzero(found)
+    return hot if hot.size <= _MOST_HOT * np.count_nonzero(use) else hot[:0]
+
+
+def _unpacked(mask: NDArray[np.uint8], frame: RawFrame) -> NDArray[np.bool_]:
+    h, w = frame.values.shape
+    return np.unpackbits(mask, count=h * w).reshape(h, w).astype(bool)
+
+
+def _mask_refused(frame: RawFrame, mask_shape: list[int]) -> dict[str, Any]:
+    h, w = frame.values.shape
+    return _region_refused(f"has {h} x {w} pixels where the region's mask has {mask_shape}")
+
+
+def _about(frame: RawFrame) -> dict[str, Any]:
+    return {
+        "exposure_s": frame.exposure_s,
+        "iso": frame.iso,
+        "f_number": frame.f_number,
+        "shape": list(frame.values.shape),
+    }
+
+
+def _means(frame: RawFrame, use: NDArray[np.bool_]) -> dict[str, Any]:
+    """Mean, its variance and numbers of pixels of each colour over pixels in use; see `phoslab.raw.RegionMeans`."""
     n, n_saturated, sums = np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3)
     differences: list[list[Array]] = [[], [], []]
     signals: list[list[Array]] = [[], [], []]
@@ -175,10 +247,6 @@ def job_means(
         "n_pixels": n,
         "n_saturated": n_saturated,
         "full_scale": full_scale,
-        "exposure_s": frame.exposure_s,
-        "iso": frame.iso,
-        "f_number": frame.f_number,
-        "shape": [h, w],
     }
 
 

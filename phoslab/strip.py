@@ -76,6 +76,15 @@ class Strip:
         top, bottom = self.top[0] + self.top[1] * x, self.bottom[0] + self.bottom[1] * x
         return x - self.slant * (y - (top + bottom) / 2), (y - top) / (bottom - top)
 
+    def middle(self) -> tuple[Array, Array]:
+        """Rows and columns (n,) of the nodes, halfway between the long edges."""
+        a = np.deg2rad(self.angle_deg)
+        x = self.nodes_px
+        y = (self.top[0] + self.bottom[0] + (self.top[1] + self.bottom[1]) * x) / 2
+        column = x * np.cos(a) - y * np.sin(a) + self.shape[1] / 2 - 0.5
+        row = x * np.sin(a) + y * np.cos(a) + self.shape[0] / 2 - 0.5
+        return row, column
+
 
 @dataclass(frozen=True, eq=False)
 class StripSignal:

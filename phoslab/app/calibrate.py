@@ -39,6 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="spectral sensitivities: a name of colour-science, or a rawtoaces JSON file (default: the session's)",
     )
     parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="also draw wavelengths and curves")
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="also write a report to read")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
 
 
@@ -50,17 +51,28 @@ def run(args: argparse.Namespace) -> int:
     from phoslab.fitting.lvf import calibrate
     from phoslab.fitting.lvf_file import save
 
-    check_outside([p for p in (args.output, args.plot) if p is not None], args.session)
+    extra = [p for p in (args.plot, args.report) if p is not None]
+    check_outside([args.output, *extra], args.session)
     with progress_bar("decoding frames", quiet=args.json) as progress:
         calibration = calibrate(args.session, led=args.led, camera=args.camera, progress=progress)
     save(calibration, args.output)
     if args.plot:
         write_text(args.plot, _plot(calibration))
+    if args.report:
+        from phoslab.app.pages import render
+
+        page = render(
+            "calibration.html",
+            calibration=calibration,
+            plot=_plot(calibration),
+            text=_report(calibration, warnings=False),
+        )
+        write_text(args.report, page)
     if args.json:
         print(json.dumps(_numbers(calibration, args)))
     else:
         print(_report(calibration))
-        print(f"Wrote {args.output}" + (f" and {args.plot}" if args.plot else ""))
+        print(f"Wrote {', '.join(str(p) for p in (args.output, *extra))}")
     return 0
 
 
@@ -71,6 +83,7 @@ def _numbers(c: Calibration, args: argparse.Namespace) -> dict[str, object]:
     return {
         "calibration": str(args.output),
         "plot": str(args.plot) if args.plot else None,
+        "report": str(args.report) if args.report else None,
         "wavelength_error_nm": [None if np.isnan(e) else float(e) for e in error],
         "mercury": [
             {"line_nm": f.name, "seen": f.seen, "off_nm": f.off_nm if f.seen else None}
@@ -85,7 +98,7 @@ def _numbers(c: Calibration, args: argparse.Namespace) -> dict[str, object]:
     }
 
 
-def _report(c: Calibration) -> str:
+def _report(c: Calibration, *, warnings: bool = True) -> str:
     """What was found, in words and numbers."""
     import numpy as np
 
@@ -147,7 +160,7 @@ def _report(c: Calibration) -> str:
         )
     if c.simulated:
         lines.append(f"    {c.simulated}")
-    if c.warnings:
+    if c.warnings and warnings:
         lines.append("[[Warnings]]")
         lines += [f"    - {w}" for w in c.warnings]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Fit a material to a recorded decay session, or rates to a decay table (CSV)."""
+"""Fit a material to recorded sessions, or rates to a decay table (CSV)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from pathlib import Path
 
 from phoslab.app import fit_check, fit_per_pixel
 
-HELP = "fit a material to a recorded session, or rates to a decay table"
+HELP = "fit a material to recorded sessions, or rates to a decay table"
 EXAMPLE = (
-    "phoslab fit sample_data/sessions/green-decay --preset green -o green.json --report green.html\n"
+    "phoslab fit sessions/star --lvf lvf.json -o star.json --report star.html\n"
+    "  phoslab fit sample_data/sessions/green-decay --preset green -o green.json\n"
     "  phoslab fit sample_data/sessions/green-decay --preset green --per-pixel -o maps\n"
     "  phoslab fit decay.csv --states auto --json\n"
     "  phoslab fit CHECK-SESSION --lvf lvf.json"
@@ -22,20 +23,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="SESSION|TABLE.csv",
-        help="folder of a decay session; or of a check session, to judge what the model takes for granted; or a CSV "
-        "table with the columns t_s (since lamp-off), optionally exposure_s, one a channel, optionally CHANNEL_sigma",
-    )
-    parser.add_argument(
-        "--preset",
-        type=_preset,
-        metavar="NAME",
-        help="material that lends what a session does not tell: excitation rates and the spectrum's shape",
+        help="folders of sessions (decay, emission, excitation, lamp, flats, lvf), or the folder that `phoslab measure "
+        "all` wrote: each is taken by its plan; or a check session, to judge what the model takes for granted; or a "
+        "CSV table with the columns t_s (since lamp-off), optionally exposure_s, one a channel, optionally "
+        "CHANNEL_sigma",
     )
     parser.add_argument(
         "--lvf",
         type=Path,
         metavar="FILE",
-        help="the filter's calibration, to judge the spectra of a check session",
+        help="calibration of the linear variable filter (default: from a session of the plan lvf among those)",
+    )
+    parser.add_argument(
+        "--preset",
+        type=_preset,
+        metavar="NAME",
+        help="material that lends what was not measured: excitation rates and the spectrum's shape",
     )
     parser.add_argument(
         "--states",
@@ -51,9 +54,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="material file to write; for a table, a JSON file of the fit",
     )
-    parser.add_argument(
-        "--report", type=Path, metavar="FILE.html", help="also write a report to read (sessions)"
-    )
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="also write a report to read")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
     parser.add_argument("--bootstrap", type=_count, default=0, metavar="N", help="add a bootstrap of N draws")
     parser.add_argument(
@@ -150,14 +151,14 @@ def _fit_table(args: argparse.Namespace) -> int:
         raise PhoslabError(
             f"names {len(args.session)} inputs", field="the fit", remedy="Name one table, or one session."
         )
-    if args.report is not None or args.preset is not None:
+    if args.lvf is not None or args.preset is not None:
         raise PhoslabError(
             "is for sessions",
             file=args.session[0],
-            field="--report or --preset",
-            remedy="A table is fitted without; its report is printed.",
+            field="--lvf or --preset",
+            remedy="A table is fitted without.",
         )
-    _check_outputs([p for p in (args.output,) if p is not None], args.session)
+    _check_outputs([p for p in (args.output, args.report) if p is not None], args.session)
     from phoslab.fitting.table_fit import fit_table
     from phoslab.fitting.table_report import report
 
@@ -172,12 +173,16 @@ def _fit_table(args: argparse.Namespace) -> int:
     content = json.dumps(result.to_dict(), allow_nan=False)
     if args.output:
         write_text(args.output, content + "\n")
+    if args.report:
+        from phoslab.app.table_page import write_page
+
+        write_page(args.report, result, args.session[0].name)
     if args.json:
         print(content)
     else:
         print(report(result, printable(args.session[0].name)))
-        if args.output:
-            print(f"Wrote {args.output}")
+        if written := [str(p) for p in (args.output, args.report) if p is not None]:
+            print(f"Wrote {' and '.join(written)}")
     return 0
 
 
@@ -188,19 +193,16 @@ def _fit_session(args: argparse.Namespace) -> int:
 
     from phoslab.app.progress import progress_bar
 
-    _needs(
-        args,
-        "preset",
-        "Name the material that lends excitation rates and spectrum: `phoslab presets` lists them.",
-    )
     _needs(args, "output", "Name the material file to write.")
-    _check_outputs([p for p in (args.output, args.report) if p is not None], args.session)
+    inputs = [*args.session, *([args.lvf] if args.lvf is not None else [])]
+    _check_outputs([p for p in (args.output, args.report) if p is not None], inputs)
     from phoslab.fitting import extrapolation, fit_session
     from phoslab.fitting.intervals import bootstrap_intervals
 
     with progress_bar("decoding frames", quiet=args.json) as progress:
         result = fit_session(
             args.session,
+            lvf=args.lvf,
             preset=args.preset,
             states=args.states if args.states == "auto" else int(args.states),
             name=args.name,
@@ -233,7 +235,11 @@ def _fit_session(args: argparse.Namespace) -> int:
                     "extrapolated": [b.to_dict() for b in beyonds],
                     "chi2": result.fit.chi2,
                     "dof": result.fit.dof,
+                    "ke_m2_per_J": [plain(row) for row in result.material.ke_m2_per_J.tolist()],
+                    "emission": result.material.emission.tolist(),
+                    "band_edges_nm": result.material.bands.edges_nm.tolist(),
                     "assumed": result.assumed,
+                    "missing": list(result.missing),
                     "warnings": list(result.warnings),
                 }
             )

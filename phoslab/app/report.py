@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phoslab.app.figures import svg
+from phoslab.app.pages import render
 from phoslab.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from phoslab.fitting import FitResult
+    from phoslab.fitting.result import MeasuredExcitation
 
 _CHANNEL_COLOURS = ("#c0392b", "#1e8449", "#2455a4")
 
@@ -42,19 +44,20 @@ def write_report(
         pictures: shown at the top, in order.
         notes: sentences about the pictures (warnings of the renderer).
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    # Names and notes come from files that anyone may have written: everything is escaped.
-    environment = Environment(
-        loader=PackageLoader("phoslab.app", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    page = environment.get_template("report.html").render(
+    found = result.excitation
+    page = render(
+        "report.html",
         result=result,
         material=result.material,
         states=_states(result),
         held_out={h.n_states: h for h in result.held_out},
         decay=svg(_decay_figure(result)),
         emission=svg(_emission_figure(result)),
+        n_signals=0 if result.spectrum is None else int(np.isfinite(result.spectrum.measured).sum()),
+        rise=None if found is None else svg(_excitation_figure(found)),
+        excited=[] if found is None else _excited(found),
+        level=None if found is None else f"{np.nanmedian(np.abs(found.fit.level_error)):.1%}",
+        calibration=_calibration(result),
         pictures=[(data_uri(p.path), p.caption) for p in pictures],
         notes=notes,
     )
@@ -75,6 +78,32 @@ def _states(result: FitResult) -> list[dict[str, Any]]:
         }
         for i in range(fit.n_states)
     ]
+
+
+def _excited(found: MeasuredExcitation) -> list[dict[str, str]]:
+    """What is known of how each state is excited."""
+    fit = found.fit
+    return [
+        {
+            "a": _value(fit.a_per_s[i], fit.a_per_s[i] * fit.scale_error[i])
+            if fit.scale_error[i] < 1
+            else f"{fit.a_per_s[i]:.2g}, to a factor only",
+            "initial": f"{fit.initial[i]:.3f}",
+            "known": "only the product Λ ke: if ke is larger by a factor, Λ is smaller by it"
+            if fit.product_only[i]
+            else "ke and Λ",
+        }
+        for i in range(fit.n_states)
+    ]
+
+
+def _calibration(result: FitResult) -> str:
+    """The file or the sessions that the filter's calibration is from."""
+    told = result.material.provenance["calibration"]
+    if told is None:
+        return ""
+    parts = told.get("sessions") or [told]
+    return ", ".join(f"{part['name']} ({part['sha256'][:16]})" for part in parts)
 
 
 def _value(value: float, error: float) -> str:
@@ -144,9 +173,87 @@ def _emission_figure(result: FitResult) -> Figure:
             label=f"kr = {kr:.3g} 1/s",
         )
         base = base + height
+    if result.spectrum is not None:
+        seen = result.spectrum
+        scale = base.max() / seen.band_means(m.bands)[0].max()
+        low, high = (scale * (seen.value + sign * 2 * seen.standard_error) for sign in (-1, 1))
+        axes.plot(seen.nm, scale * seen.value, color="0.15", lw=1.2, label="measured spectrum")
+        axes.fill_between(seen.nm, np.maximum(low, 0), high, color="0.3", alpha=0.25, lw=0)
+    axes.set_ylim(0, None)
     axes.set_xlabel("wavelength [nm]")
-    axes.set_ylabel("radiance at t = 0\n[material's unit]")
+    axes.set_ylabel("radiance of full states\n[material's unit]")
     axes.legend(frameon=False)
+    return figure
+
+
+_RISES = 6
+"""Places whose rise is drawn."""
+
+
+def _excitation_figure(found: MeasuredExcitation) -> Figure:
+    """The rise of the glow at places under the filter, and the rates by band."""
+    from matplotlib.figure import Figure
+
+    from phoslab.fitting.decay import exposed_decay
+
+    fit, data = found.fit, found.series.data
+    figure = Figure(figsize=(8, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    lit = data.steps.lit_s
+    order = np.argsort(lit)
+    # Frames differ in delay and exposure: what these leave of any glow is divided out.
+    charge = found.series.charge
+    left_over = (
+        exposed_decay(charge.kr_per_s, data.steps.delay_s, data.steps.exposure_s)[0] @ charge.amplitude
+    )
+    glow, model = data.signal / left_over[:, None], fit.model / left_over[:, None]
+    spread = np.hypot(data.sigma, data.repeatability * data.signal) / left_over[:, None]
+    scale = 1 / np.nanmax(np.where(np.isfinite(data.sigma), glow, np.nan))
+    brightest = np.argsort(-data.signal[order[-1]])
+    for k, s in enumerate(np.sort(brightest[: 2 * _RISES : 2])):
+        used = np.isfinite(data.sigma[:, s])
+        colour = f"C{k}"
+        left.errorbar(
+            lit[used],
+            scale * glow[used, s],
+            scale * spread[used, s],
+            fmt="o",
+            ms=3,
+            lw=0.8,
+            color=colour,
+            label=f"{found.series.positions_nm[s]:.0f} nm",
+        )
+        left.plot(lit[order], scale * model[order, s], color=colour, lw=1)
+    left.set_xscale("log")
+    left.set_ylim(0, None)
+    left.set_xlabel("length of light [s]")
+    left.set_ylabel("glow, as a share of the brightest")
+    left.legend(frameon=False, fontsize=8)
+    centres, shift = fit.bands.centres_nm, fit.bands.widths_nm / (fit.n_states + 2)
+    for i in range(fit.n_states):
+        x = centres + (i - (fit.n_states - 1) / 2) * shift
+        ke, limit = fit.ke_m2_per_J[i], fit.ke_upper_limit[i]
+        seen = ke > 0
+        error = np.minimum(fit.ke_standard_error[i], 0.9 * ke)
+        right.errorbar(
+            x[seen],
+            ke[seen],
+            error[seen],
+            fmt="o",
+            ms=4,
+            color=f"C{i}",
+            label=f"kr = {fit.kr_per_s[i]:.3g} 1/s",
+        )
+        bound = ~seen & np.isfinite(limit)
+        right.errorbar(
+            x[bound], limit[bound], 0.5 * limit[bound], fmt="_", uplims=True, ms=6, lw=0.8, color=f"C{i}"
+        )
+    right.set_yscale("log")
+    right.set_xlabel("wavelength [nm]")
+    right.set_ylabel("ke [m²/J of the lamp's unit]")
+    right.legend(frameon=False, fontsize=8)
+    for axes in (left, right):
+        axes.grid(alpha=0.25)
     return figure
 
 

@@ -93,9 +93,12 @@ def test_the_fit_of_a_table_does_not_overwrite_it(tmp_path, capsys):
     assert path.read_text() == before
 
 
-def test_a_session_without_preset_or_output_says_what_is_missing(session, tmp_path, capsys):
-    assert cli.main(["fit", str(session), "-o", str(tmp_path / "m.json")]) == 1
-    assert "--preset is missing" in capsys.readouterr().err
+def test_a_decay_alone_is_fitted_and_what_is_missing_stands_first(session, tmp_path, capsys):
+    out = tmp_path / "m.json"
+    assert cli.main(["fit", str(session), "-o", str(out)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in said[:3]] == ["Note", "Missing", "Missing"]
+    assert json.loads(out.read_text())["ke_m2_per_J"][0][0] is None
     assert cli.main(["fit", str(session), "--preset", "green"]) == 1
     assert "-o is missing" in capsys.readouterr().err
 

@@ -1,0 +1,62 @@
+"""The fit of a table as one self-contained HTML page: the curve, what it misses, the numbers, and why to doubt them."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from phoslab.app.figures import svg
+from phoslab.app.pages import render
+from phoslab.files import write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from phoslab.fitting.table_fit import TableFit
+
+
+def write_page(path: str | os.PathLike[str], result: TableFit, name: str) -> None:
+    """Write the page, whole or not at all."""
+    from phoslab.fitting.table_report import report
+
+    page = render(
+        "table.html",
+        name=name,
+        result=result,
+        decay=svg(_figure(result)),
+        text=report(result, name),
+        warnings=[flag.partition(": ")[::2] for flag in result.flags],
+    )
+    write_text(path, page)
+
+
+def _figure(result: TableFit) -> Figure:
+    """Signal over time with the fit, and below it what the fit misses, in standard deviations."""
+    from matplotlib.figure import Figure
+
+    fit, data = result.fit, result.fit.data
+    figure = Figure(figsize=(8, 5.6), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1])
+    middle = data.t_s + data.exposure_s / 2
+    t = np.linspace(max(0.0, float(data.t_s.min())), middle[-1], 500)
+    curve, predicted = fit.predict(t, np.zeros_like(t)), fit.predict(data.t_s, data.exposure_s)
+    for c, channel in enumerate(data.channels):
+        used, colour = data.used[:, c], f"C{c}"
+        sigma = data.total_sigma[used, c]
+        upper.errorbar(
+            middle[used], data.signal[used, c], sigma, fmt="o", ms=3, lw=0.8, color=colour, label=channel
+        )
+        upper.plot(t, curve[:, c], color=colour, lw=1)
+        lower.plot(middle[used], (data.signal[used, c] - predicted[used, c]) / sigma, "o", ms=3, color=colour)
+    if (data.signal[data.used] > 0).all():
+        upper.set_yscale("log")
+    upper.set_ylabel("value [the table's unit]")
+    upper.legend(title="measured (points), fitted (lines)", ncols=4, frameon=False)
+    lower.axhline(0, color="0.4", lw=0.8)
+    lower.set_ylabel("misfit [σ]")
+    lower.set_xlabel("time since lamp-off [s]")
+    for axes in (upper, lower):
+        axes.grid(alpha=0.25)
+    return figure
