@@ -256,9 +256,14 @@ def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit
     upper = np.full(ke.shape, np.nan)
     if limits:
         allowed = best.search.chi2 + _ONE_SIDED**2 * misfit
+        # One spectrum for all has one limit, found for the state that is known best, and the others' by their ratio.
+        known = np.argmin(product_error.sum(axis=1) / product.sum(axis=1))
         for i, j in np.argwhere(~seen):
-            largest = _largest_product(problem, best.search, int(i), int(j), allowed)
-            upper[i, j] = largest / np.exp(log_gain[i])
+            if problem.common and i != known:
+                continue
+            largest = _largest_product(problem, best.search, int(i), int(j), allowed) / np.exp(log_gain[i])
+            ratio = ke.sum(axis=1) / ke[i].sum() if problem.common else np.arange(n_c) == i
+            upper[:, j] = np.where(ratio > 0, ratio * largest, upper[:, j])
     model = problem.signal(theta)[0]
     fresh = problem.fresh
     end, end_model = ends(data, fresh), ends(replace(data, signal=model), fresh)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from phoslab.fitting.spectrum import Spectrum
-from phoslab.spectra import spectrum as named
 
 Array = NDArray[np.float64]
 
@@ -27,6 +26,9 @@ _THERMAL = 0.03
 """A lamp that is off Planck's law by less than this, as a share, is taken to follow it."""
 
 _COLDEST_K, _HOTTEST_K = 1500.0, 8000.0
+
+_C2_NM_K = 1.438776877e7
+"""The second radiation constant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,9 @@ def lamp_light(measured: Spectrum) -> LampLight:
     nm, value, error = measured.nm[sure], measured.value[sure], measured.standard_error[sure]
 
     def planck(kelvin: float, at: Array) -> Array:
-        return np.asarray(named(f"blackbody:{kelvin}", file=None, field="the lamp")(at))  # type: ignore[arg-type]
+        return np.asarray(
+            (560.0 / at) ** 5 * np.expm1(_C2_NM_K / 560.0 / kelvin) / np.expm1(_C2_NM_K / at / kelvin)
+        )
 
     def fitted(kelvin: float) -> tuple[Array, float]:
         shape = planck(kelvin, nm)

@@ -288,7 +288,8 @@ class _Job:
             series = reduce_excitation(
                 session, self.decay, reduced, fit, calibration, lamp, camera, bands, self.progress
             )
-            found = fit_excitation(series.data, series.charge)
+            # A paint of one pigment: what fills its states is absorbed alike, as what empties them glows alike.
+            found = fit_excitation(series.data, series.charge, common_shape=True)
         except PhoslabError as error:
             self._lack(what, str(error))
             return None

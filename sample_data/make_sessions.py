@@ -1,6 +1,10 @@
-"""Make the sample sessions again: `python -m phoslab.sample_data.make_sessions OUT`.
+"""Make the sample sessions again.
 
-It only calls the bench. The same seeds give the same bytes; what ships is what this wrote.
+    python -m phoslab.sample_data.make_sessions OUT
+    phoslab calibrate OUT/calibration/flats OUT/calibration/lvf -o OUT/sessions/green/lvf.json
+
+It only calls the bench. The same seeds give the same bytes; what ships is what this wrote, but for the two sessions of
+the calibration: hundreds of frames, of which lvf.json keeps what they say.
 """
 
 from __future__ import annotations
@@ -12,13 +16,54 @@ import numpy as np
 
 from phoslab.files import write_text
 from phoslab.instruments.bench.bench import STATEMENT, Bench, record_decay
+from phoslab.instruments.bench.campaign import Campaign
+from phoslab.instruments.bench.darkroom import Darkroom
 from phoslab.instruments.bench.sample import Sample
+from phoslab.plan_parameters import Decay, Emission, Excitation, Flats, Lamp, Lvf
 
 SEED = 20260115
+FILTERS = (
+    "L002",
+    "L035",
+    "L101",
+    "L122",
+    "L147",
+    "L179",
+    "L201",
+    "L225",
+    "L279",
+    "L366",
+    "L603",
+    "L714",
+    "L736",
+    "L775",
+)
 
 
 def main(out: Path) -> None:
-    """Write sessions/green-decay and, beside it, what the sample really did."""
+    """Write all of them."""
+    decay_alone(out)
+    campaign(out)
+
+
+def campaign(out: Path) -> None:
+    """Write sessions/green, all that a material needs, and calibration/, from which lvf.json is made.
+
+    One dark room: the sample that is charged for one session rests before the next. Few dark frames, so that it is
+    small.
+    """
+    room = Campaign(Darkroom(SEED, Sample(name="green")), FILTERS)
+    room.record(out / "calibration" / "flats", Flats())
+    room.record(out / "calibration" / "lvf", Lvf())
+    sessions = out / "sessions" / "green"
+    room.record(sessions / "lamp", Lamp(frames=2, darks=2))
+    room.record(sessions / "emission", Emission(frames=2, darks=2))
+    room.record(sessions / "decay", Decay(darks=2))
+    room.record(sessions / "excitation", Excitation(last_s=512.0, between=2, darks=1))
+
+
+def decay_alone(out: Path) -> None:
+    """Write sessions/green-decay, a decay and nothing else, and, beside it, what the sample really did."""
     bench = Bench(SEED, Sample(name="green"))
     record_decay(out / "sessions" / "green-decay", bench)
     # A second in steps of 10 ms, the recorded time in steps of 0.1 s, then ever wider to an hour.

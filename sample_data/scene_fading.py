@@ -115,10 +115,12 @@ purple-cube.material = "preset:purple"
 red-knot.material = "preset:red"
 white-moon.material = "preset:white"
 yellow-star.material = "preset:yellow"
-# What `phoslab fit` made of the sample session. Its radiance is in the camera's units, so it states a factor of its
-# own: one that lets it start about as bright as the preset green.
+# What `phoslab fit` made of the sample sessions. Its lamp is the one that was measured, in the unit of the presets'
+# (of length 1 over the bands); its radiance is in the camera's unit, and the factor lets it start about as bright as
+# the preset green.
 fitted-pawn.material = "material.json"
-fitted-pawn.radiance_factor = 1.3e-8
+fitted-pawn.irradiance_factor = 1.0
+fitted-pawn.radiance_factor = 1.4e-8
 
 [initial]
 state = "empty"

@@ -1,14 +1,13 @@
-"""The main job, on recorded sample data: a decay session becomes a material, the material glows in a picture."""
+"""The main job, on recorded sample data: sessions become a material, the material glows in a picture."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-HELP = "fit the sample session, render the sample scene, write one report"
+HELP = "fit the sample sessions, render the sample scene, write one report"
 EXAMPLE = "phoslab demo -o phoslab-demo"
 
-PRESET = "green"
 TIMES = ("off-1s", "off+1s", "off+80s")
 CAPTIONS = ("Lamp on, one second before it goes off", "1 s after", "80 s after")
 SCENE_NOTE = (
@@ -41,10 +40,10 @@ def run(args: argparse.Namespace) -> int:
         check_writable(out / name)
     samples = files("phoslab.sample_data")
     with (
-        as_file(samples / "sessions" / "green-decay") as session,
+        as_file(samples / "sessions" / "green") as sessions,
         progress_bar("decoding frames", quiet=args.json) as progress,
     ):
-        result = fit_session([session], preset=PRESET, progress=progress)
+        result = fit_session([sessions], lvf=sessions / "lvf.json", progress=progress)
     result.material.save(out / "material.json")
 
     # The scene names material.json, beside it: in the copy, that is the material just fitted.

@@ -21,7 +21,7 @@ SESSIONS = Path(phoslab.sample_data.__file__).parent / "sessions"
 def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample sessions, made again."""
     out = tmp_path_factory.mktemp("sample")
-    make_sessions.main(out)
+    make_sessions.decay_alone(out)
     return out / "sessions"
 
 
@@ -34,7 +34,8 @@ def test_the_shipped_session_is_what_the_bench_makes(fresh: Path) -> None:
     # Processors round differently, and the sample's solver, whose relative tolerance is 1e-10, passes that on: the
     # light then differs in its tenth digit, and in some pixel of the 1.5 million a rounding to whole numbers may too.
     names = sorted(str(p.relative_to(fresh)) for p in fresh.rglob("*"))
-    assert names == sorted(str(p.relative_to(SESSIONS)) for p in SESSIONS.rglob("*"))
+    shipped_names = (str(p.relative_to(SESSIONS)) for p in SESSIONS.rglob("*"))
+    assert names == sorted(name for name in shipped_names if name.startswith("green-decay"))
     pixels = 0
     for name in names:
         shipped, made = SESSIONS / name, fresh / name
