@@ -79,6 +79,11 @@ class Excitation:
     change: float = _given(0.02, "growth of the glow, as a share, below which doubling ends", 0)
     between: int = _given(4, "exposure times measured afterwards between the doubled ones", 0)
     samples: int = _given(1, "physical samples alike, which take turns so that each can rest", 1)
+    warm_up: str = _given(
+        "none",
+        "card: before each exposure the lamp warms up on the grey card, which a hand puts in the sample's place",
+        choices=("none", "card"),
+    )
     longest_s: float = _given(4.0, "longest exposure of the camera", 0.01)
     darks: int = _given(3, "dark frames for each setting", 1)
 

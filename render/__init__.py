@@ -8,7 +8,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from os import PathLike
 
 from phoslab.errors import PhoslabError
@@ -22,6 +23,7 @@ from phoslab.render.glow_transport import NONE
 from phoslab.render.glow_transport import TransportParameters as TransportParameters
 from phoslab.render.memory import check_room, picture_bytes
 from phoslab.render.phosphor_state import Stepping, check_work
+from phoslab.render.pose import check_motion
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.render.scene import Scene as Scene
 from phoslab.render.scene import load_scene as load_scene
@@ -68,77 +70,175 @@ def render(
             does not bear its step, or there is no OpenGL.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    if solver is None:
-        solver = DEFAULT if scene.schedule.piecewise_constant else DEFAULT_IN_VARYING_LIGHT
-    find_solver(solver)
-    find_format(state_format)
-    if transport is not None and transport.method != NONE:
-        find_method(transport.method)
-    if not 0 < step_s < float("inf"):
-        raise PhoslabError(f"is {step_s:g}", field="the step", remedy="Give a positive number of seconds.")
     labels = [t if isinstance(t, str) else f"{t:.12g}" for t in (scene.times if times is None else times)]
     moments = [
         scene.schedule.parse_time(t) if isinstance(t, str) else check_time(float(t), f"{t:g}")
         for t in times or labels
     ]
+    if not labels:
+        raise PhoslabError("is empty", field="the list of times", remedy="Give one time or more.")
+    parameters = _parameters(
+        scene,
+        max(moments),
+        len(moments),
+        stepping=Stepping(_solver(scene, solver), step_s, state_format),
+        transport=transport,
+        size=size,
+        supersampling=supersampling,
+        debug=debug,
+    )
+    # In ascending order, since the state only runs forwards.
+    order = sorted(range(len(moments)), key=moments.__getitem__)
+    frames: dict[int, Frame] = {}
+    with Device() if device is None else _scope_of(device) as drawn_on:
+        each = _render(drawn_on, scene, [moments[k] for k in order], [labels[k] for k in order], parameters)
+        for k, frame in zip(order, each, strict=True):
+            frames[k] = frame
+            if progress is not None:
+                progress(len(frames), len(moments))
+    return Frames(
+        tuple(frames[k] for k in range(len(moments))),
+        scene=_source(scene),
+        solver=parameters.stepping.solver,
+        exposures=scene.exposures,
+    )
+
+
+def render_film(
+    scene: Scene,
+    out: str | PathLike[str],
+    from_s: float,
+    to_s: float,
+    fps: float = 30.0,
+    *,
+    solver: str | None = None,
+    step_s: float | None = None,
+    state_format: str = "f32",
+    transport: TransportParameters | None = None,
+    size: tuple[int, int] | None = None,
+    supersampling: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[str, ...]:
+    """Render a stretch of a scene's time into an .mp4, one picture each 1 / fps s.
+
+    Lamps go on and off, what the file's animation moves moves, and materials charge and fade meanwhile. A stretch of
+    darkness in which nothing moves is a sum of the pictures of its fade basis.
+
+    Args:
+        out: the file, whole or absent.
+        from_s, to_s: in s of the schedule; a picture at `from_s`, none at `to_s`.
+        fps: pictures a second.
+        step_s: the step in s while light varies or anything moves; None: one a picture.
+        solver, state_format, transport, size, supersampling, progress: as for `render`.
+
+    Returns:
+        Warnings.
+
+    Raises:
+        PhoslabError: the stretch is empty or too long, or as `render`.
+    """
+    from phoslab.render.film import Film, film_times
+
+    moments = film_times(check_time(from_s, f"{from_s:g}"), check_time(to_s, f"{to_s:g}"), fps)
+    parameters = _parameters(
+        scene,
+        moments[-1],
+        1,
+        stepping=Stepping(_solver(scene, solver), step_s or 1 / fps, state_format),
+        transport=transport,
+        size=size,
+        supersampling=supersampling,
+        debug=(),
+    )
+    with Device() as device, Film(out, parameters.size, fps, scene.exposures) as film:
+        labels = [f"{t:.12g}" for t in moments]
+        for k, frame in enumerate(_render(device, scene, moments, labels, parameters), start=1):
+            film.show(frame)
+            if progress is not None:
+                progress(k, len(moments))
+    return film.warnings
+
+
+@contextmanager
+def _scope_of(device: Device) -> Iterator[Device]:
+    with device.scope():
+        yield device
+
+
+def _solver(scene: Scene, solver: str | None) -> str:
+    if solver is None:
+        return DEFAULT if scene.schedule.piecewise_constant else DEFAULT_IN_VARYING_LIGHT
+    find_solver(solver)
+    return solver
+
+
+def _parameters(
+    scene: Scene,
+    until_s: float,
+    n_kept: int,
+    *,
+    stepping: Stepping,
+    transport: TransportParameters | None,
+    size: tuple[int, int] | None,
+    supersampling: int | None,
+    debug: Sequence[str],
+) -> RenderParameters:
+    """Check what was asked for before anything is made."""
+    find_format(stepping.state_format)
+    if transport is not None and transport.method != NONE:
+        find_method(transport.method)
+    if not 0 < stepping.step_s < float("inf"):
+        raise PhoslabError(
+            f"is {stepping.step_s:g}", field="the step", remedy="Give a positive number of seconds."
+        )
     parameters = RenderParameters(
         size=size or scene.size,
         supersampling=supersampling or scene.supersampling,
-        stepping=Stepping(solver, step_s, state_format),
+        stepping=stepping,
         transport=transport or TransportParameters(),
         debug=tuple(debug),
     )
-    check_work(scene.schedule, max(moments), parameters.stepping)
+    check_work(scene.schedule, until_s, stepping)
+    check_motion(scene, until_s, stepping.step_s)
     w, h = parameters.size
-    needed = picture_bytes(parameters.size, parameters.supersampling, scene.transport.n, len(moments))
+    needed = picture_bytes(parameters.size, parameters.supersampling, scene.transport.n, n_kept)
     check_room(needed, f"a picture of {w} x {h} pixels")
-    if not labels:
-        raise PhoslabError("is empty", field="the list of times", remedy="Give one time or more.")
-    if device is None:
-        with Device() as own:
-            return _render(own, scene, labels, moments, parameters, progress)
-    with device.scope():
-        return _render(device, scene, labels, moments, parameters, progress)
+    return parameters
+
+
+def _source(scene: Scene) -> str:
+    return os.fsencode("/".join(scene.file.resolve().parts[-2:])).decode("utf-8", "replace")
 
 
 def _render(
     device: Device,
     scene: Scene,
-    labels: Sequence[str],
     moments: Sequence[float],
+    labels: Sequence[str],
     parameters: RenderParameters,
-    progress: Callable[[int, int], None] | None,
-) -> Frames:
+) -> Iterator[Frame]:
+    """Yield the frames at moments that ascend."""
     renderer = Renderer(device, scene, parameters)
-    frames: dict[int, Frame] = {}
     # What only fades is rendered once for each rate, where light is followed to other surfaces: elsewhere a frame
     # costs little more than the sum.
-    stretches: dict[int, list[int]] = {}
+    faded: dict[int, int] = {}
     if (
         renderer.transport is not None
         and not parameters.debug
+        and not renderer.exciting
         and find_solver(parameters.stepping.solver).closed_form
     ):
-        stretches = {min(s, key=moments.__getitem__): s for s in faded_stretches(scene, list(moments))}
-    later = {k for first, stretch in stretches.items() for k in stretch if k != first}
-    # In ascending order, since the state only runs forwards.
-    for k in sorted(set(range(len(moments))) - later, key=moments.__getitem__):
-        if k in stretches:
-            basis = renderer.fade_basis(moments[k])
-        for j in stretches.get(k, [k]):
-            frames[j] = (
-                renderer.faded_frame(basis, moments[j], labels[j])
-                if k in stretches
-                else renderer.frame(moments[j], labels[j])
-            )
-            if progress is not None:
-                progress(len(frames), len(moments))
-    return Frames(
-        tuple(frames[k] for k in range(len(moments))),
-        scene=os.fsencode("/".join(scene.file.resolve().parts[-2:])).decode("utf-8", "replace"),
-        solver=parameters.stepping.solver,
-        exposures=scene.exposures,
-    )
+        stretches = faded_stretches(scene, list(moments))
+        faded = {k: stretch[0] for stretch in stretches for k in stretch}
+    basis: FadeBasis | None = None
+    for k, (t_s, label) in enumerate(zip(moments, labels, strict=True)):
+        if k not in faded:
+            yield renderer.frame(t_s, label)
+            continue
+        if faded[k] == k:
+            basis = renderer.fade_basis(t_s)
+        assert basis is not None
+        yield renderer.faded_frame(basis, t_s, label)
 
 
 def render_fade_basis(
@@ -169,4 +269,11 @@ def render_fade_basis(
         transport=transport or TransportParameters(),
     )
     with Device() as device:
-        return Renderer(device, scene, parameters).fade_basis(t_s)
+        renderer = Renderer(device, scene, parameters)
+        if renderer.exciting:
+            raise PhoslabError(
+                "does more than fade",
+                field="glow that excites (--glow-excites)",
+                remedy="Render frame by frame, or without it.",
+            )
+        return renderer.fade_basis(t_s)

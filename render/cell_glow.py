@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.render.atlas_glow import AtlasGlow
+from phoslab.render.cell_light import CellLight
 from phoslab.render.cells import Cells, Patches
 from phoslab.render.device import Device, read_texture, set_uniforms
 from phoslab.render.optics import layer_count
@@ -24,7 +25,7 @@ class CellGlow:
     Every texel counts once, with the area that it stands for, so a cell sends what its surface sends.
 
     Attributes:
-        radiances: a buffer of (n_cells, layers, 4) float32, in units of `glow`.
+        radiances: a buffer of (n_cells, 2, layers, 4) float32: of front and back, in units of `glow`.
         glow: the largest radiance of any cell, in the scene's units; 0 where nothing glows.
     """
 
@@ -38,7 +39,7 @@ class CellGlow:
         self._leaf_radiances = device.buffer(
             np.zeros((len(cells.leaf_areas), self._layers, 4), dtype=np.float32)
         )
-        self.radiances = device.buffer(np.zeros((len(cells.skip), self._layers, 4), dtype=np.float32))
+        self.radiances = device.buffer(np.zeros((len(cells.skip), 2, self._layers, 4), dtype=np.float32))
         self._program = device.compute(self.name, {"LAYERS": self._layers})
         self._lists = [
             _list_texels(device, glow, cells.patches[glow.drawable.number])
@@ -47,8 +48,20 @@ class CellGlow:
         ]
         self.glow = 0.0
 
-    def run(self) -> None:
-        """Average what the atlases hold now."""
+    def run(self, cell_light: CellLight | None = None) -> None:
+        """Average what the atlases hold now, and what cells reflect of it."""
+        emitted = self.emitted()
+        if cell_light is None:
+            sides = np.stack([emitted, np.zeros_like(emitted)], axis=1)
+        else:
+            sides = cell_light.spread(emitted)
+        means = self._cells.averages(sides.reshape(len(emitted), -1))
+        self.glow = float(means.max(initial=0.0))
+        if self.glow > 0:
+            self.radiances.write((means / self.glow).astype("f4").tobytes())
+
+    def emitted(self) -> Array:
+        """Return (m, 4 layers) what the fronts of the smallest cells give off, from what the atlases hold now."""
         for texels in self._lists:
             texels.glow.radiance.use(0)
             texels.ends.bind_to_storage_buffer(0)
@@ -57,10 +70,12 @@ class CellGlow:
             set_uniforms(self._program, radiance=0, first=texels.first, count=texels.count)
             self._device.dispatch(self._program, (texels.count, 1), group=(64, 1))
         leaves = np.frombuffer(self._leaf_radiances.read(), dtype="f4").astype(np.float64)
-        means = self._cells.averages(leaves.reshape(len(self._cells.leaf_areas), -1))
-        self.glow = float(means.max(initial=0.0))
-        if self.glow > 0:
-            self.radiances.write((means / self.glow).astype("f4").tobytes())
+        return leaves.reshape(len(self._cells.leaf_areas), -1)
+
+    def release(self) -> None:
+        """Give its buffers back: the cells are made anew."""
+        lists = [buffer for texels in self._lists for buffer in (texels.ends, texels.texels)]
+        self._device.release(self._leaf_radiances, self.radiances, *lists)
 
     def debug_views(self) -> dict[str, Picture]:
         """Nothing of its own: `Tiles` shows cells where they are hit."""

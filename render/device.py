@@ -274,10 +274,12 @@ class Device:
         )
 
     def _build(self, key: tuple[Any, ...], build: Callable[[], T]) -> T:
-        programs: dict[tuple[Any, ...], T] = self._scopes[-1].programs
-        if key not in programs:
-            programs[key] = self._keep(build())
-        return programs[key]
+        for scope in reversed(self._scopes):
+            if key in scope.programs:
+                found: T = scope.programs[key]
+                return found
+        built = self._scopes[-1].programs[key] = self._keep(build())
+        return built
 
     def vertex_array(
         self,

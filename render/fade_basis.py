@@ -27,6 +27,7 @@ from phoslab.render.frame import Frame
 from phoslab.render.frames import Frames
 from phoslab.render.images import band_channels
 from phoslab.render.light_course import Course
+from phoslab.render.pose import moving_s
 from phoslab.render.scene import Exposure, Scene
 from phoslab.render.schedule import Schedule
 
@@ -126,8 +127,15 @@ def fading_rates(scene: Scene, t_s: float) -> NDArray[np.float64]:
     """Return the distinct rates at which a scene fades from `t_s` on, ascending.
 
     Raises:
-        PhoslabError: it does not fade so: a light is on at `t_s`, or a rate varies over a surface.
+        PhoslabError: it does not fade so: a light is on at `t_s`, things still move, or a rate varies over a
+            surface.
     """
+    if t_s < moving_s(scene)[1]:
+        raise PhoslabError(
+            f"things move until {moving_s(scene)[1]:g} s, so the scene does not merely fade",
+            field="the fade basis",
+            remedy="Ask for a later time.",
+        )
     if scene.schedule.dark_for_s(t_s) is None:
         raise PhoslabError(
             f"a light is on at {t_s:g} s, so the scene does not merely fade",
@@ -153,7 +161,7 @@ def faded_stretches(scene: Scene, moments: list[float]) -> list[list[int]]:
     stretches: dict[float, list[int]] = {}
     for k, t in enumerate(moments):
         dark = scene.schedule.dark_for_s(t)
-        if dark is not None:
+        if dark is not None and t >= moving_s(scene)[1]:
             stretches.setdefault(round(t - dark, 9), []).append(k)
     if not scene.phosphors or any(
         d.phosphor is not None and d.phosphor.optics.uniform_kr is None for d in scene.phosphors

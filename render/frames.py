@@ -19,6 +19,9 @@ from phoslab.render.scene import Exposure
 AUTO_PERCENTILE, AUTO_LEVEL = 99.5, 0.95
 AUTO_DARK = 1e-4
 
+# Linear, of display white: half of the first step of 8-bit sRGB.
+BLACK = 0.5 / 255 / 12.92
+
 
 @dataclass(frozen=True, eq=False)
 class Frames:
@@ -41,8 +44,10 @@ class Frames:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The warnings of all frames, each once."""
-        return tuple(dict.fromkeys(w for frame in self.frames for w in frame.warnings))
+        """The warnings of all frames, each once, and which of them are shown black."""
+        black = (darkness(frame, self.exposure_of(frame)) for frame in self.frames)
+        each = [w for frame in self.frames for w in frame.warnings] + [w for w in black if w is not None]
+        return tuple(dict.fromkeys(each))
 
     def exposure_of(self, frame: Frame) -> float:
         """Return the factor from luminance to display white that is in force at the frame's time.
@@ -96,6 +101,21 @@ def check_suffix(out: Path) -> None:
         raise PhoslabError(
             f"has the suffix {out.suffix!r}", file=out, remedy="Name a .png or .exr file to write."
         )
+
+
+def darkness(frame: Frame, exposure: float) -> str | None:
+    """Return what to say of a picture that is shown black; None where something is to be seen."""
+    largest = float(frame.xyz[..., 1].max(initial=0.0))
+    if largest * exposure >= BLACK:
+        return None
+    if largest == 0.0:
+        return (
+            f"the picture at {frame.time_s:g} s is black: no light falls on what is seen, and nothing glows"
+        )
+    return (
+        f"the picture at {frame.time_s:g} s is shown black: the exposure in force would have to be "
+        f"{1 / (largest * exposure):.2g} times as long; give [display] exposures of the scene a later `from`"
+    )
 
 
 def auto_exposure(xyz: NDArray[np.float32]) -> float:

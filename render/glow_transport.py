@@ -15,6 +15,7 @@ import moderngl
 from phoslab.errors import PhoslabError
 from phoslab.render.atlas_geometry import AtlasGeometry
 from phoslab.render.atlas_glow import AtlasGlow
+from phoslab.render.cell_light import Lamps
 from phoslab.render.device import Device
 from phoslab.render.gbuffer import GBuffer
 from phoslab.render.gpu_scene import GpuDrawable
@@ -27,6 +28,7 @@ NONE = "none"
 MOST_DIRECTIONS = 256
 MOST_LEVELS = 10
 FILTER_RADII = (0, 2, 4, 8)
+MOST_BOUNCES = 64
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,9 @@ class TransportParameters:
             scene (dss, dss-z).
         samples: light paths a pixel (reference).
         full: follow light to the end, not for one reflection alone (reference).
+        bounces: reflections on the way from a phosphor to the camera, at most (tiles, reference).
+        lamps: let surfaces light each other with what they reflect of the lamps, too (tiles).
+        excites: let the light of surfaces charge phosphors (tiles).
     """
 
     method: str = NONE
@@ -59,6 +64,9 @@ class TransportParameters:
     levels: int = 0
     samples: int = 256
     full: bool = False
+    bounces: int = 1
+    lamps: bool = False
+    excites: bool = False
 
     def __post_init__(self) -> None:
         self._check("the number of directions", self.directions, 1, MOST_DIRECTIONS)
@@ -66,6 +74,7 @@ class TransportParameters:
         self._check("the number of samples", self.samples, 1, 1 << 20)
         self._check("the cells' radius", self.cell, 1e-3, 1.0)
         self._check("the cells' detail", self.detail, 1e-2, 1.0)
+        self._check("the number of bounces", self.bounces, 1, MOST_BOUNCES)
         self._check("the surfels' radius", self.surfel, 1e-3, 1.0)
         self._check("epsilon", self.epsilon, 1e-5, 0.5)
         self._check("the number of levels", self.levels, 0, MOST_LEVELS)
@@ -75,6 +84,11 @@ class TransportParameters:
                 field="the filter's radius",
                 remedy=f"Use one of: {', '.join(map(str, FILTER_RADII))}.",
             )
+
+    @property
+    def follows_cells(self) -> bool:
+        """Whether light goes from cell to cell before it goes to the camera."""
+        return self.bounces > 1 or self.lamps or self.excites
 
     @staticmethod
     def _check(field: str, value: float, low: float, high: float) -> None:
@@ -93,6 +107,7 @@ class Surroundings:
         gbuffer: what the camera sees.
         size: (width, height) of the picture in pixels.
         supersampling: samples along the side of a pixel.
+        lamps: as they are at the picture's time.
     """
 
     scene: Scene
@@ -102,6 +117,7 @@ class Surroundings:
     gbuffer: GBuffer
     size: tuple[int, int]
     supersampling: int
+    lamps: Lamps
 
 
 class GlowTransport(Protocol):
@@ -114,7 +130,7 @@ class GlowTransport(Protocol):
     ) -> None: ...
 
     def prepare(self) -> None:
-        """Do what holds while nothing moves: the G-buffer and the atlases are drawn."""
+        """Do what holds while nothing moves: the G-buffer and the atlases are drawn. Done again after each move."""
         ...
 
     def run(self, radiance: moderngl.TextureArray) -> None:

@@ -1,8 +1,8 @@
 """Geometry, base colours, cameras and punctual lights out of a glTF 2.0 file.
 
-What is read: node hierarchy, triangle primitives (lists, strips, fans) with POSITION, NORMAL and TEXCOORD_0,
-base colour factor and texture, perspective cameras, KHR_lights_punctual. Distances are metres. A light's colour,
-intensity and range are left aside: `scene.toml` gives lights a spectrum and an irradiance.
+What is read: node hierarchy and its animation, triangle primitives (lists, strips, fans) with POSITION, NORMAL and
+TEXCOORD_0, base colour factor and texture, perspective cameras, KHR_lights_punctual. Distances are metres. A light's
+colour, intensity and range are left aside: `scene.toml` gives lights a spectrum and an irradiance.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ from phoslab.errors import PhoslabError
 from phoslab.files import read_regular
 from phoslab.render.geometry import Geometry, bounds, build
 from phoslab.render.gltf_accessors import LARGEST_BYTES, REMEDY, Buffers
+from phoslab.render.gltf_animations import node_matrix, read_motion
+from phoslab.render.motion import Motion
 
 Matrix = NDArray[np.float64]
 
@@ -48,6 +50,7 @@ class GltfInstance:
         geometry: in the mesh's own space; the same object for every instance of the mesh.
         model_to_world: (4, 4).
         base_colour: (h, w, 3) linear sRGB in [0, 1]; 1 x 1 where there is no texture.
+        index: of the node in the file.
     """
 
     node: str
@@ -55,6 +58,7 @@ class GltfInstance:
     geometry: Geometry
     model_to_world: Matrix
     base_colour: NDArray[np.float32]
+    index: int = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +71,12 @@ class GltfLight:
     direction_w: Matrix
     inner_cone_rad: float
     outer_cone_rad: float
+    index: int = -1
+
+    def placed(self, to_world: Matrix) -> GltfLight:
+        """Return the light where its node is now: it shines along the node's -z."""
+        direction = to_world[:3, :3] @ np.array([0.0, 0.0, -1.0])
+        return replace(self, position_w=to_world[:3, 3], direction_w=direction / np.linalg.norm(direction))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,16 +87,25 @@ class GltfCamera:
     world_to_view: Matrix
     yfov_rad: float
     near_m: float
+    index: int = -1
+
+    def placed(self, to_world: Matrix) -> GltfCamera:
+        """Return the camera where its node is now; a node's scale does not change what it sees."""
+        rigid = np.eye(4)
+        rigid[:3, :3] = to_world[:3, :3] / np.linalg.norm(to_world[:3, :3], axis=0)
+        rigid[:3, 3] = to_world[:3, 3]
+        return replace(self, world_to_view=np.asarray(np.linalg.inv(rigid), dtype=np.float64))
 
 
 @dataclass(frozen=True, eq=False)
 class GltfModel:
-    """What one file holds, its hierarchy flattened; `warnings` say what was left aside."""
+    """What one file holds, its hierarchy flattened, at rest; `warnings` say what was left aside."""
 
     instances: tuple[GltfInstance, ...]
     lights: tuple[GltfLight, ...]
     cameras: tuple[GltfCamera, ...]
     warnings: tuple[str, ...]
+    motion: Motion | None = None
 
 
 def load_gltf(file: Path) -> GltfModel:
@@ -136,35 +155,37 @@ class _Reader:
             )
         self._primitives: dict[tuple[int, int], Geometry] = {}
         self._colours: dict[int | None, NDArray[np.float32]] = {}
+        self._parents: dict[int, int | None] = {}
 
     def read(self) -> GltfModel:
         instances: list[GltfInstance] = []
         lights: list[GltfLight] = []
         cameras: list[GltfCamera] = []
-        for node, to_world in self._walk():
+        for index, node, to_world in self._walk():
             name = str(node.name or "")
             if node.mesh is not None or node.camera is not None or node.extensions:
-                self._check_placed(name, to_world)
+                check_placed(self.file, name, to_world)
             if node.mesh is not None:
-                instances += self._instances(node, name, to_world)
+                instances += self._instances(index, node, name, to_world)
             if node.camera is not None:
-                cameras += self._camera(node.camera, name, to_world)
+                cameras += self._camera(node.camera, index, name, to_world)
             if "KHR_lights_punctual" in (node.extensions or {}):
-                lights.append(self._light(node.extensions["KHR_lights_punctual"]["light"], name, to_world))
+                light = node.extensions["KHR_lights_punctual"]["light"]
+                lights.append(self._light(light, index, name, to_world))
         ignored = [
             what
             for what, there in (
-                ("animations", self.document.animations),
                 ("skins", self.document.skins),
                 ("morph targets", any(p.targets for m in self.document.meshes for p in m.primitives)),
             )
             if there
         ]
         left = (f"{self.file.name}: {' and '.join(ignored)} are left aside",) if ignored else ()
-        return GltfModel(tuple(instances), tuple(lights), tuple(cameras), left)
+        motion = read_motion(self.buffers, self._parents)
+        return GltfModel(tuple(instances), tuple(lights), tuple(cameras), left, motion)
 
-    def _walk(self) -> Iterator[tuple[Any, Matrix]]:
-        """Yield every node of the scene with its transformation to world space."""
+    def _walk(self) -> Iterator[tuple[int, Any, Matrix]]:
+        """Yield the index of every node of the scene, it, and its transformation to world space."""
         nodes = self.document.nodes
         if self.document.scenes:
             chosen = self.document.scene
@@ -172,35 +193,20 @@ class _Reader:
         else:
             children = {c for n in nodes for c in n.children or []}
             roots = [i for i in range(len(nodes)) if i not in children]
-        stack = [(i, np.eye(4), 0) for i in reversed(roots)]
-        visited = set()
+        stack: list[tuple[int, int | None, Matrix, int]] = [(i, None, np.eye(4), 0) for i in reversed(roots)]
         while stack:
-            index, parent, depth = stack.pop()
+            index, parent, above, depth = stack.pop()
             node = self.buffers.pick("nodes", index)
-            if depth > MAX_DEPTH or index in visited:
+            if depth > MAX_DEPTH or index in self._parents:
                 raise self.buffers.error(f"nodes[{index}]", "is part of a hierarchy that is not a tree")
-            visited.add(index)
-            to_world = parent @ _local(node)
+            self._parents[index] = parent
+            to_world = above @ node_matrix(node)
             if not np.isfinite(to_world).all():
                 raise self.buffers.error(f"nodes[{index}]", "has a transformation that is not finite")
-            yield node, to_world
-            stack += [(c, to_world, depth + 1) for c in reversed(node.children or [])]
+            yield index, node, to_world
+            stack += [(c, index, to_world, depth + 1) for c in reversed(node.children or [])]
 
-    def _check_placed(self, name: str, to_world: Matrix) -> None:
-        """Refuse a place that is too far away, too small, too large or flat for float32."""
-        axes = to_world[:3, :3]
-        scale = np.linalg.norm(axes, axis=0)
-        where = f"node {name!r}"
-        if (np.abs(to_world[:3, 3]) > FARTHEST_M).any() or scale.max() > FARTHEST_M:
-            raise self.buffers.error(
-                where, f"lies or reaches farther than {FARTHEST_M:g} m", "Move it nearer, or scale it down."
-            )
-        if scale.min() < SMALLEST_SCALE or abs(np.linalg.det(axes / scale)) < FLATTEST:
-            raise self.buffers.error(where, "is scaled to nothing", "Give it a scale that is not 0.")
-        if (to_world[3] != (0.0, 0.0, 0.0, 1.0)).any():
-            raise self.buffers.error(where, "has a matrix whose last row is not 0 0 0 1")
-
-    def _instances(self, node: Any, name: str, to_world: Matrix) -> list[GltfInstance]:
+    def _instances(self, index: int, node: Any, name: str, to_world: Matrix) -> list[GltfInstance]:
         mesh = self.buffers.pick("meshes", node.mesh)
         for p in range(len(mesh.primitives)):
             if (np.abs(bounds(self._geometry(node.mesh, p), to_world)) > FARTHEST_M).any():
@@ -216,6 +222,7 @@ class _Reader:
                 geometry=self._geometry(node.mesh, p),
                 model_to_world=to_world,
                 base_colour=self._base_colour(primitive.material),
+                index=index,
             )
             for p, primitive in enumerate(mesh.primitives)
         ]
@@ -310,7 +317,7 @@ class _Reader:
                 f"images[{index}]", f"cannot be read ({error})", "Save it again as PNG or JPEG."
             ) from error
 
-    def _camera(self, index: int, name: str, to_world: Matrix) -> list[GltfCamera]:
+    def _camera(self, index: int, node: int, name: str, to_world: Matrix) -> list[GltfCamera]:
         camera = self.buffers.pick("cameras", index)
         if camera.perspective is None:
             return []
@@ -322,13 +329,10 @@ class _Reader:
                 f"Give a yfov from {NARROWEST_RAD:g} to below pi, and a znear from {SMALLEST_SCALE:g} "
                 f"to {FARTHEST_M:g} m.",
             )
-        rotation = to_world[:3, :3] / np.linalg.norm(to_world[:3, :3], axis=0)
-        rigid = np.eye(4)
-        rigid[:3, :3], rigid[:3, 3] = rotation, to_world[:3, 3]
-        world_to_view = np.asarray(np.linalg.inv(rigid), dtype=np.float64)
-        return [GltfCamera(name or str(camera.name or ""), world_to_view, yfov, near)]
+        at_rest = GltfCamera(name or str(camera.name or ""), np.eye(4), yfov, near, node)
+        return [at_rest.placed(to_world)]
 
-    def _light(self, index: int, name: str, to_world: Matrix) -> GltfLight:
+    def _light(self, index: int, node: int, name: str, to_world: Matrix) -> GltfLight:
         lights = self.document.extensions["KHR_lights_punctual"]["lights"]
         light = self.buffers.pick("KHR_lights_punctual.lights", index, lights)
         kind, spot = light["type"], light.get("spot", {})
@@ -338,29 +342,29 @@ class _Reader:
                 f"light {name!r}",
                 "has an unknown type, or cone angles that are not 0 <= inner < outer <= pi/2",
             )
-        direction = to_world[:3, :3] @ np.array([0.0, 0.0, -1.0])
-        return GltfLight(
-            name or str(light.get("name", "")),
-            kind,
-            to_world[:3, 3],
-            direction / np.linalg.norm(direction),
-            inner,
-            outer,
-        )
+        axis = np.array([0.0, 0.0, -1.0])
+        shape = GltfLight(name or str(light.get("name", "")), kind, np.zeros(3), axis, inner, outer, node)
+        return shape.placed(to_world)
 
 
-def _local(node: Any) -> Matrix:
-    if node.matrix is not None:
-        return np.array(node.matrix, dtype=np.float64).reshape(4, 4).T
-    x, y, z, w = np.array(node.rotation or [0, 0, 0, 1], dtype=np.float64) / np.linalg.norm(
-        node.rotation or [0, 0, 0, 1]
-    )
-    local = np.eye(4)
-    local[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    local[:3, :3] *= np.array(node.scale if node.scale is not None else [1, 1, 1], dtype=np.float64)
-    local[:3, 3] = node.translation if node.translation is not None else [0, 0, 0]
-    return local
+def check_placed(file: Path, name: str, to_world: Matrix, when: str = "") -> None:
+    """Refuse a node's place that is too far away, too small, too large or flat for float32.
+
+    Args:
+        when: appended to what is wrong, where the node moves.
+
+    Raises:
+        PhoslabError: it is.
+    """
+
+    def error(problem: str, remedy: str) -> PhoslabError:
+        return PhoslabError(problem + when, file=file, field=f"node {name!r}", remedy=remedy)
+
+    axes = to_world[:3, :3]
+    scale = np.linalg.norm(axes, axis=0)
+    if (np.abs(to_world[:3, 3]) > FARTHEST_M).any() or scale.max() > FARTHEST_M:
+        raise error(f"lies or reaches farther than {FARTHEST_M:g} m", "Move it nearer, or scale it down.")
+    if scale.min() < SMALLEST_SCALE or abs(np.linalg.det(axes / scale)) < FLATTEST:
+        raise error("is scaled to nothing", "Give it a scale that is not 0.")
+    if (to_world[3] != (0.0, 0.0, 0.0, 1.0)).any():
+        raise error("has a matrix whose last row is not 0 0 0 1", REMEDY)

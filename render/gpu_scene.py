@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import moderngl
@@ -37,9 +37,9 @@ class MaterialTextures:
     uniform_kr: Array | None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class GpuDrawable:
-    """A drawable, ready to draw.
+    """A drawable, ready to draw. Only `place` changes it.
 
     Args:
         number: from 1; what the G-buffer holds.
@@ -56,6 +56,11 @@ class GpuDrawable:
     reflectance: moderngl.TextureArray
     material: MaterialTextures | None
     atlas_size: tuple[int, int] | None
+
+    def place(self, model_to_world: Array) -> None:
+        """Move it."""
+        self.drawable = replace(self.drawable, model_to_world=model_to_world)
+        self.box_w = bounds(self.geometry, model_to_world)
 
     @property
     def placement(self) -> dict[str, Array]:

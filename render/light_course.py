@@ -82,6 +82,11 @@ class Segment:
         """Whether every light is constant."""
         return not any(self._varies(course) for course in self.courses)
 
+    @property
+    def dark(self) -> bool:
+        """Whether no light is on."""
+        return not any(self._varies(course) or course.at(self._middle_s) for course in self.courses)
+
     def drives(self, begin_s: float, end_s: float) -> list[Drive]:
         """Return the factor of each course over a step within the segment."""
         return [self._drive(course, begin_s, end_s) for course in self.courses]

@@ -7,7 +7,7 @@ light varies, or a solver has no closed form, the anchor moves step by step.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain, pairwise
 
@@ -26,6 +26,7 @@ from phoslab.render.phosphor_step import PhosphorStep
 from phoslab.render.schedule import Schedule
 from phoslab.render.solvers import check_step, find_solver
 from phoslab.render.state_formats import StateTexture
+from phoslab.solvers import Drive
 
 Array = NDArray[np.float64]
 
@@ -95,14 +96,20 @@ class PhosphorState:
         n_bands: int,
         schedule: Schedule,
         stepping: Stepping,
+        *,
+        lit_by_glow: bool = False,
     ) -> None:
         material, phosphor = drawable.material, drawable.drawable.phosphor
         assert material is not None
         assert phosphor is not None
         self._device = device
         self.drawable, self.atlas, self.light, self.phosphor = drawable, atlas, light, phosphor
-        # The lights of each layer of excitation; the last is for an initial equilibrium, if there is one.
+        # The lights of each layer of excitation; the last is for an initial equilibrium, if there is one, and before
+        # it that of other glow.
         self._lights = list(schedule.alike.values())
+        self._glow_layer = len(self._lights) if lit_by_glow else None
+        if lit_by_glow:
+            self._lights.append(frozenset())
         if phosphor.initial.lights:
             self._lights.append(phosphor.initial.lights)
         self.excitation = Excitation(device, material, atlas.size, n_bands, len(self._lights))
@@ -121,11 +128,30 @@ class PhosphorState:
         # What a + kr of any phosphor never exceeds.
         self.strictest_per_s = 0.0
 
-    def excite(self) -> None:
-        """Find the excitation of every texel under each course's lights. Once is enough while nothing moves."""
+    def excite(self, reflected: Callable[[PhosphorState, Mapping[str, float]], None] | None = None) -> None:
+        """Find the excitation of every texel under each course's lights. Once is enough while nothing moves.
+
+        The last layer, that of an initial equilibrium, is then where things are at 0 s.
+
+        Args:
+            reflected: adds to `light` what surfaces reflect of these lights.
+        """
         for layer, names in enumerate(self._lights):
-            self.light.run(self.atlas, dict.fromkeys(names, 1.0))
+            if layer == self._glow_layer:
+                continue
+            factors = dict.fromkeys(names, 1.0)
+            self.light.run(self.atlas, factors)
+            if reflected is not None:
+                reflected(self, factors)
             self.excitation.run(self.atlas, self.light, layer)
+        self._largest_a = None
+
+    def excite_by_glow(self, shine: Callable[[PhosphorState], None]) -> None:
+        """Find the excitation by the light of surfaces: `shine` adds it to `light`."""
+        assert self._glow_layer is not None
+        self.light.run(self.atlas, {})
+        shine(self)
+        self.excitation.run(self.atlas, self.light, self._glow_layer)
         self._largest_a = None
 
     @property
@@ -137,6 +163,8 @@ class PhosphorState:
         """Return the largest a + kr of any texel, in 1/s, under lights of such factors."""
         if self._largest_a is None:  # it is read back from the GPU: once, and only where somebody asks
             self._largest_a = self.excitation.largest_rates()
+        if self._glow_layer is not None and len(factors) == self._glow_layer:
+            factors = np.append(factors, 1.0)
         return float(factors @ self._largest_a[: len(factors)]) + float(self.phosphor.optics.kr_per_s.max())
 
     def reset(self) -> None:
@@ -207,6 +235,8 @@ class PhosphorState:
     def _take(self, segment: Segment, begin_s: float, end_s: float, target: StateTexture) -> None:
         """Take one step from the anchor, if the solver bears it."""
         solver, drives, dt_s = self.step.solver, segment.drives(begin_s, end_s), end_s - begin_s
+        if self._glow_layer is not None:
+            drives.append(Drive.constant(np.asarray(1.0)))
         largest = np.inf
         if np.isfinite(solver.largest_step) or not segment.constant:
             largest = self._rate_under(np.array([max(solver.light(drive)) for drive in drives]))

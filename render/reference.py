@@ -7,6 +7,7 @@ before. Mitsuba samples each pixel at random places, so edges differ from a regu
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import moderngl
@@ -49,9 +50,9 @@ class Reference:
         around, p = self._around, self._parameters
         self.reflected = trace(
             self.meshes(),
-            around.scene.camera,
+            around.gbuffer.camera,
             around.size,
-            reflections=UNLIMITED if p.full else 1,
+            reflections=UNLIMITED if p.full else p.bounces,
             samples=p.samples,
             direct=False,
         )
@@ -61,8 +62,8 @@ class Reference:
         radiance.bind_to_image(0, read=True, write=True)
         self._device.dispatch(self._program, around.gbuffer.size)
 
-    def meshes(self) -> list[TracedMesh]:
-        """Return the scene as the path tracer takes it."""
+    def meshes(self, *, white: bool = False) -> list[TracedMesh]:
+        """Return the scene as the path tracer takes it; `white`: as if everything reflected all light."""
         around = self._around
         glows = {glow.drawable.number: glow for glow in around.glows}
         atlases = {
@@ -78,6 +79,9 @@ class Reference:
             uv = read_texture(atlases[drawable.number].uv)[..., :2]
             reflectance = _looked_up(drawable.drawable.reflectance, uv)
             meshes.append(_mesh(drawable, drawable.geometry.atlas_uv, reflectance, glow))
+        if white:
+            ones = np.ones((1, 1, around.scene.transport.n), dtype=np.float32)
+            return [replace(mesh, reflectance=ones) for mesh in meshes]
         return meshes
 
     def debug_views(self) -> dict[str, Picture]:

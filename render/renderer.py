@@ -1,22 +1,27 @@
 """The renderer: an explicit list of passes, from light to pixels.
 
-shadow_map        depth of every light's views            once
-atlas_geometry    what lies under each texel              once, per phosphor
-atlas_irradiance  K-band light on each texel              once, per phosphor and course of light
-excitation        a_i of each texel                       once, per phosphor and course of light
+shadow_map        depth of every light's views            once, and per move
+atlas_geometry    what lies under each texel              once, and per move; per phosphor
+atlas_irradiance  K-band light on each texel              once, and per move; per phosphor and course of light
+excitation        a_i of each texel                       once, and per move; per phosphor and course of light
 phosphor_step     the state at the picture's time         per picture and change of light, or step; per phosphor
-gbuffer           what the camera sees                    once
+gbuffer           what the camera sees                    once, and per picture while anything moves
 direct_light      reflected lamp light                    per picture
 glow              light of the phosphors                  per picture, per phosphor
 atlas_glow        light that the phosphors send           per picture, per phosphor
 glow_transport    what surfaces reflect of that           per picture; by the way of `glow_methods` that was asked for
 resolve           samples to pixels                       per picture
+
+While a drawable or a light moves and there is light, the state goes from one step to the next, under the light of the
+step's middle; in the dark it does not matter where things are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import moderngl
 import numpy as np
@@ -26,6 +31,7 @@ from phoslab.errors import PhoslabError
 from phoslab.render.atlas_geometry import AtlasGeometry, AtlasGeometryParameters
 from phoslab.render.atlas_glow import AtlasGlow
 from phoslab.render.atlas_irradiance import AtlasIrradiance
+from phoslab.render.cell_light import Lamps
 from phoslab.render.device import Device
 from phoslab.render.direct_light import DirectLight
 from phoslab.render.excitation import Excitation
@@ -36,12 +42,15 @@ from phoslab.render.glow import Glow
 from phoslab.render.glow_methods import find_method
 from phoslab.render.glow_transport import NONE, GlowTransport, Surroundings, TransportParameters
 from phoslab.render.gpu_scene import upload
+from phoslab.render.light_course import Segment
 from phoslab.render.passes import Pass, Picture, side_by_side
 from phoslab.render.phosphor_state import PhosphorState, Stepping
 from phoslab.render.phosphor_step import PhosphorStep
+from phoslab.render.pose import moves_lit, moving_s, pose_at
 from phoslab.render.resolve import Resolve, ResolveParameters
 from phoslab.render.scene import Scene
 from phoslab.render.shadow_map import ShadowMap, ShadowMapParameters
+from phoslab.render.surface_light import SurfaceLight, exciting_glow
 
 PASSES = (
     ShadowMap,
@@ -107,9 +116,19 @@ class Renderer:
         self.direct_light = DirectLight(device, self.shadow_map, samples, n_bands)
         self.glow = Glow(device, n_bands)
         self.resolve = Resolve(device, n_bands, ResolveParameters(parameters.size, parameters.supersampling))
+        self.lamps = Lamps(self.shadow_map)
+        self.glow_light, self.exciting = exciting_glow(scene, parameters.transport)
         self.states = self._make_states(device)
         self.transport = self._make_transport(device)
+        self.surface_light = SurfaceLight.of(
+            device, self.transport, self.glows, self.states, parameters.transport
+        )
         self._anchor_s = 0.0
+        # For which times things are in place, and light falls on the atlases: None is for none.
+        self._placed_s: float | None = None
+        self._excited_s: float | None = None
+        self._seen_s: float | None = None
+        self._moving_s, self._moves_lit = moving_s(scene), moves_lit(scene)
         self.prepare()
 
     def _make_states(self, device: Device) -> list[PhosphorState]:
@@ -128,6 +147,7 @@ class Renderer:
                     n_bands,
                     self.scene.schedule,
                     self.parameters.stepping,
+                    lit_by_glow=self.exciting,
                 )
             )
         return states
@@ -149,21 +169,55 @@ class Renderer:
             self.gbuffer,
             p.size,
             p.supersampling,
+            self.lamps,
         )
         return find_method(p.transport.method)(device, surroundings, p.transport)
 
     def prepare(self) -> None:
         """Run the passes whose results hold while nothing moves."""
-        self.shadow_map.run()
+        self._place(0.0)
+        self._excite(0.0)
         for state in self.states:
-            state.atlas.run()
-            state.excite()
             state.reset()
         for state in self.states:
             state.strictest_per_s = max(other.largest_rate_per_s for other in self.states)
-        self.gbuffer.run(self.scene.camera)
-        if self.transport is not None:
-            self.transport.prepare()
+        self._see(0.0)
+
+    def _place(self, t_s: float) -> None:
+        """Put everything where it is at `t_s`."""
+        t_s = float(np.clip(t_s, *self._moving_s))
+        if t_s == self._placed_s:
+            return
+        first = self._placed_s is None
+        self._placed_s = t_s
+        self._pose = pose_at(self.scene, t_s)
+        if first or self._moves_lit:
+            for drawable, model_to_world in zip(self.drawables, self._pose.models, strict=True):
+                drawable.place(model_to_world)
+            self.shadow_map.place(self._pose.lights)
+            self.shadow_map.run()
+            for state in self.states:
+                state.atlas.run()
+
+    def _excite(self, t_s: float) -> None:
+        """Find the excitation under the lights where everything is at `t_s`."""
+        t_s = float(np.clip(t_s, *self._moving_s)) if self._moves_lit else 0.0
+        if t_s != self._excited_s:
+            self._place(t_s)
+            if self.surface_light is not None:
+                self.surface_light.place()
+            for state in self.states:
+                state.excite(None if self.surface_light is None else self.surface_light.of_lamps)
+            self._excited_s = t_s
+
+    def _see(self, t_s: float) -> None:
+        """Find what the camera sees at `t_s`, and which way glow takes."""
+        self._place(t_s)
+        if self._placed_s != self._seen_s:
+            self.gbuffer.run(self._pose.camera)
+            if self.transport is not None:
+                self.transport.prepare()
+            self._seen_s = self._placed_s
 
     def frame(self, t_s: float, label: str | None = None) -> Frame:
         """Render the scene at `t_s` seconds; forwards in time is cheaper than backwards.
@@ -173,12 +227,14 @@ class Renderer:
         """
         factors = self.scene.schedule.factors(t_s)
         self.bring_states_to(t_s)
+        self._see(t_s)
         self._draw(factors, [state.shown.value for state in self.states])
         return self._make_frame(t_s, label, self.resolve.read(), self._debug_views(factors))
 
     def _draw(self, factors: Mapping[str, float], states: Sequence[moderngl.Texture]) -> None:
         """Draw what the lights and the phosphors in these states give, down to pixels."""
         radiance = self.direct_light.radiance
+        self.lamps.factors = factors
         self.direct_light.run(self.gbuffer, self.drawables, factors)
         for phosphor, r in zip(self.states, states, strict=True):
             self.glow.run(self.gbuffer, phosphor.drawable, r, radiance)
@@ -213,6 +269,7 @@ class Renderer:
         """
         rates = fading_rates(self.scene, t_s)
         self.bring_states_to(t_s)
+        self._see(t_s)
         pictures = []
         for rate in rates:
             with self._device.scope():
@@ -228,22 +285,51 @@ class Renderer:
     def bring_states_to(self, t_s: float) -> None:
         """Advance the phosphors, or go back to time 0 and advance, so that each shows its state at `t_s`."""
         if t_s < self._anchor_s:
+            if self._moves_lit:
+                self._excite(0.0)
             for state in self.states:
                 state.reset()
             self._anchor_s = 0.0
         for state in self.states:
             state.show_anchor()
         for segment in self.scene.schedule.segments(self._anchor_s, t_s):
-            self._anchor_s = segment.end_s
-            for state in self.states:
-                if segment.end_s < t_s:
-                    state.advance(segment)
-                else:
-                    self._anchor_s = state.show(segment)
+            for part, lit_s in self._moves(segment):
+                self._excite(lit_s)
+                if self.exciting:
+                    assert self.surface_light is not None
+                    self.surface_light.of_glow(self.states)
+                self._anchor_s = part.end_s
+                for state in self.states:
+                    if part.end_s < t_s:
+                        state.advance(part)
+                    else:
+                        self._anchor_s = state.show(part)
+
+    def _moves(self, segment: Segment) -> Iterator[tuple[Segment, float]]:
+        """Yield the parts of a segment through which light falls as at one time, and that time: all of it, or steps.
+
+        The parts lie on a grid that does not depend on where a picture is taken, so that a picture is the same
+        whichever came before.
+        """
+        begin, end = (0.0, math.inf) if self.exciting else self._moving_s
+        step = self.parameters.stepping.step_s
+        if not self.exciting and (not self._moves_lit or segment.dark):
+            yield segment, self._excited_s or 0.0
+            return
+        first = max(0, math.floor((segment.start_s - begin) / step) - 1)
+        last = math.ceil((min(segment.end_s, end) - begin) / step)
+        inner = [*(begin + k * step for k in range(first, last)), end]
+        edges = [t for t in inner if begin <= t <= end and segment.start_s < t < segment.end_s]
+        for low, high in itertools.pairwise([segment.start_s, *dict.fromkeys(edges), segment.end_s]):
+            # The middle of the whole step of the grid, of which the part may be the beginning.
+            cell = math.floor((low + high) / 2 / step - begin / step)
+            yield replace(segment, start_s=low, end_s=high), begin + (cell + 0.5) * step
 
     def _warnings(self, t_s: float) -> tuple[str, ...]:
         """What the scene warns of, and every material that is seen beyond what its data support."""
-        warnings = list(self.scene.warnings)
+        warnings = [*self.scene.warnings, *self.glow_light]
+        if self.parameters.transport.method != NONE and not self.states:
+            warnings.append("nothing in the scene is phosphorescent, so that no glow is to be transported")
         dark = self.scene.schedule.dark_for_s(t_s)
         for state in self.states:
             valid = state.phosphor.material.valid_s

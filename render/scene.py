@@ -25,6 +25,7 @@ from phoslab.material import Material
 from phoslab.render.geometry import Geometry
 from phoslab.render.gltf import GltfCamera, GltfInstance, GltfLight, GltfModel, load_gltf
 from phoslab.render.light_course import parse_course
+from phoslab.render.motion import Motion
 from phoslab.render.optics import Optics, Texels, load_optics
 from phoslab.render.schedule import Schedule
 from phoslab.render.units import Claim, Units, settle_units
@@ -68,6 +69,7 @@ class Drawable:
     Args:
         name: of the node, or of its mesh where the node has none.
         reflectance: (h, w, K) float32, or float16 where it is a texture, in [0, 1]; 1 x 1 where there is no texture.
+        node: its index in the glTF file.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Drawable:
     model_to_world: Array
     reflectance: Texels
     phosphor: Phosphor | None = None
+    node: int = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +103,7 @@ class Scene:
     Args:
         file: the scene.toml.
         transport: the K spectral bands of all light in the scene.
+        motion: where things are over time; None: nothing moves. `pose.py` puts them there.
         warnings: what is wrong but not fatal, for the user and for every output.
     """
 
@@ -114,6 +118,7 @@ class Scene:
     supersampling: int
     exposures: tuple[Exposure, ...]
     warnings: tuple[str, ...]
+    motion: Motion | None = None
 
     @property
     def phosphors(self) -> tuple[Drawable, ...]:
@@ -233,6 +238,7 @@ class _Loader:
             supersampling=render.get("supersampling", 2),
             exposures=self._exposures(schedule),
             warnings=tuple(self.warnings),
+            motion=self.model.motion,
         )
 
     def _material(self, name: str, text: str) -> Material:
@@ -413,7 +419,9 @@ class _Loader:
                 self._check_energy(name, phosphor.material, reflectance, transport)
             self._check_uv(name, instance, reflectance, phosphor)
             drawables.append(
-                Drawable(name, instance.geometry, instance.model_to_world, reflectance, phosphor)
+                Drawable(
+                    name, instance.geometry, instance.model_to_world, reflectance, phosphor, instance.index
+                )
             )
         if not drawables:
             raise self.error("gltf", "holds no mesh", "Name a file with something to see in it.")

@@ -49,13 +49,8 @@ class ShadowMap:
     ) -> None:
         self._device, self._lights, self._drawables = device, lights, drawables
         self.parameters = parameters
-        corners = np.concatenate([d.box_w for d in drawables])
-        box = np.stack([corners.min(axis=0), corners.max(axis=0)])
-        # The filter reads its radius and half a bilinear texel beyond a point that is lit.
-        guard = parameters.pcf_radius + 2
-        self.views = [views_of(light.place, box, parameters.tile, guard) for light in lights]
-        clips = [clip for view in self.views for clip in view.world_to_clip]
-        self._clips = clips
+        self._look()
+        clips = self._clips
         self.tiles_per_side = max(1, int(np.ceil(np.sqrt(len(clips)))))
         side = self.tiles_per_side * parameters.tile if clips else 1
         self.sheet = device.depth_texture((side, side))
@@ -68,13 +63,29 @@ class ShadowMap:
         self._view_buffer = device.buffer(np.array([c.T for c in clips], dtype=np.float32))
         self._spectra_buffer = device.buffer(pack_spectra(lights, n_bands) if lights else np.zeros(4, "f4"))
 
+    def _look(self) -> None:
+        """Find each light's views of the scene, as both are placed now."""
+        corners = np.concatenate([d.box_w for d in self._drawables])
+        box = np.stack([corners.min(axis=0), corners.max(axis=0)])
+        # The filter reads its radius and half a bilinear texel beyond a point that is lit.
+        guard = self.parameters.pcf_radius + 2
+        self.views = [views_of(light.place, box, self.parameters.tile, guard) for light in self._lights]
+        self._clips = [clip for view in self.views for clip in view.world_to_clip]
+
+    def place(self, lights: Sequence[Light]) -> None:
+        """Take over where lights and drawables are now: each light has as many views as before."""
+        self._lights = lights
+        self._look()
+        if self._clips:
+            self._view_buffer.write(np.array([c.T for c in self._clips], dtype=np.float32).tobytes())
+
     @property
     def defines(self) -> dict[str, int | str]:
         """What a shader that includes `lights.glsl` must define, `LAYERS` apart."""
         return {"PCF_RADIUS": self.parameters.pcf_radius}
 
     def run(self) -> None:
-        """Draw every view. Once is enough while nothing moves."""
+        """Draw every view. Once is enough while neither lights nor drawables move."""
         tile = self.parameters.tile
         self._target.use()
         self._target.clear(depth=1.0)

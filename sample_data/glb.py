@@ -102,6 +102,33 @@ class GlbWriter:
         self.document.cameras.append(self.gl.Camera(type="perspective", perspective=lens))
         self._node(name, aim(eye, target), camera=len(self.document.cameras) - 1)
 
+    def animate(self, name: str, **channels: tuple[Array, Array]) -> None:
+        """Move the node `name`: by property, (n,) times in s and (n, 3 or 4) values, with straight lines between."""
+        from scipy.spatial.transform import Rotation
+
+        index, node = next((k, n) for k, n in enumerate(self.document.nodes) if n.name == name)
+        at_rest = np.array(node.matrix).reshape(4, 4).T
+        node.matrix = None
+        node.translation = at_rest[:3, 3].tolist()
+        node.rotation = Rotation.from_matrix(at_rest[:3, :3]).as_quat().tolist()
+        if not self.document.animations:
+            self.document.animations.append(self.gl.Animation(name="motion"))
+        (animation,) = self.document.animations
+        for path, (times, values) in channels.items():
+            keys = self._accessor(times.reshape(-1, 1).astype("<f4"), 5126, "SCALAR")
+            self.document.accessors[keys].min, self.document.accessors[keys].max = (
+                [float(times.min())],
+                [float(times.max())],
+            )
+            kind = {3: "VEC3", 4: "VEC4"}[values.shape[1]]
+            animation.samplers.append(
+                self.gl.AnimationSampler(input=keys, output=self._accessor(values.astype("<f4"), 5126, kind))
+            )
+            target = self.gl.AnimationChannelTarget(node=index, path=path)
+            animation.channels.append(
+                self.gl.AnimationChannel(sampler=len(animation.samplers) - 1, target=target)
+            )
+
     def save(self, path: Path) -> None:
         """Write the .glb."""
         self.document.extensionsUsed = ["KHR_lights_punctual"]

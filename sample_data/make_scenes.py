@@ -5,13 +5,21 @@ cornell: the Cornell box with phosphorescent red and blue walls (Fig. 8.15).
 occluder: an open box whose inside no glow reaches (Fig. 6.5).
 confetti: many small triangles, some of which glow.
 corridor: a long corridor with the glowing marks of an escape route.
+lantern: a lamp that is carried past a glowing wall, and a cube that turns before it.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from phoslab.sample_data import scene_confetti, scene_cornell, scene_corridor, scene_fading, scene_occluder
+from phoslab.sample_data import (
+    scene_confetti,
+    scene_cornell,
+    scene_corridor,
+    scene_fading,
+    scene_lantern,
+    scene_occluder,
+)
 
 SCENES = Path(__file__).resolve().parent / "scenes"
 
@@ -21,6 +29,7 @@ WRITERS = {
     "occluder": scene_occluder.write,
     "confetti": scene_confetti.write,
     "corridor": scene_corridor.write,
+    "lantern": scene_lantern.write,
 }
 
 

@@ -82,5 +82,9 @@ supersampling = 2
 times = ["off-1s", "off+1s", "off+60s"]
 
 [display]
-exposures = [{ from = "0", exposure = "auto" }, { from = "off", exposure = "auto" }]
+exposures = [
+  { from = "0", exposure = "auto" },
+  { from = "off", exposure = "auto" },
+  { from = "off+30s", exposure = "auto" },
+]
 """

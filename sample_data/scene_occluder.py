@@ -54,4 +54,7 @@ state = "saturated"
 size = [512, 512]
 supersampling = 2
 times = ["0", "60"]
+
+[display]
+exposures = [{ from = "0", exposure = "auto" }, { from = "30", exposure = "auto" }]
 """

@@ -7,6 +7,7 @@
 layout(local_size_x = 16, local_size_y = 16) in;
 #include "receivers.glsl"
 #include "tiles.glsl"
+#include "hemisphere.glsl"
 
 struct Test {
     vec4 N, U, V; // distance from the plane, and shares of the sides, of a point
@@ -24,7 +25,7 @@ layout(std430, binding = 1) readonly buffer Tests { Test tests[]; };
 layout(std430, binding = 2) readonly buffer Ends { uint ends[]; }; // where each group's list begins; one more
 layout(std430, binding = 3) readonly buffer Lists { uint lists[]; };
 layout(std430, binding = 4) readonly buffer Points { vec2 points[]; }; // of the unit square; DIRECTIONS a place
-layout(std430, binding = 5) writeonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: cell + 1, or 0; weight
+layout(std430, binding = 5) writeonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
 layout(std430, binding = 6) buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless
 layout(std430, binding = 7) readonly buffer Guides { vec2 guides[]; }; // beside lists: per area, and summed
 layout(std430, binding = 8) readonly buffer Walk { Cell cells[]; };
@@ -38,20 +39,6 @@ const float COPLANAR = 2e-5;
 const float INV_PI = 0.318309886;
 const float SHARE = float(AIMLESS) / float(DIRECTIONS);
 const float EDGE = 1e-5; // neighbouring cells overlap by this share, so that no ray slips between
-
-// An orthonormal basis around n (Duff et al. 2017).
-void find_basis(vec3 n, out vec3 x, out vec3 y) {
-    float s = n.z >= 0.0 ? 1.0 : -1.0;
-    float a = -1.0 / (s + n.z), b = n.x * n.y * a;
-    x = vec3(1.0 + s * n.x * n.x * a, s * b, -s * n.x);
-    y = vec3(b, s + n.y * n.y * a, -n.y);
-}
-
-// The direction about +z to a point of the unit square: its density is the cosine over π.
-vec3 on_hemisphere(vec2 u) {
-    float angle = 6.28318531 * u.y;
-    return vec3(sqrt(u.x) * vec2(cos(angle), sin(angle)), sqrt(1.0 - u.x));
-}
 
 // The direction from o to a point of one of the list's cells, chosen by what they promise.
 vec3 aim(vec3 o, vec2 u, uint begin, uint end, float total) {
@@ -116,7 +103,7 @@ void main() {
             continue;
         }
         float u0 = dot(test.U.xyz, o) + test.U.w, v0 = dot(test.V.xyz, o) + test.V.w;
-        uint seen = h > 0.0 ? cell + 1u : 0u; // a back blocks and is dark
+        uint seen = 1u + 2u * cell + (h > 0.0 ? 0u : 1u);
         float hope = guides[m].x, shortest = PROTRUDING * (test.more.x - COPLANAR);
         for (int k = 0; k < BATCH; ++k) {
             float inverse = 1.0 / dot(test.N.xyz, d[k]), t = -h * inverse;

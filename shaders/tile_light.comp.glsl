@@ -2,8 +2,8 @@
 // The weighted mean of the radiance that a pixel's directions meet, in units of the frame's glow: E / π.
 layout(local_size_x = 8, local_size_y = 8) in;
 
-layout(std430, binding = 0) readonly buffer Hits { uvec2 hits[]; };      // DIRECTIONS a pixel: cell + 1, or 0; weight
-layout(std430, binding = 1) readonly buffer Radiances { vec4 cells[]; }; // LAYERS a cell
+layout(std430, binding = 0) readonly buffer Hits { uvec2 hits[]; };      // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
+layout(std430, binding = 1) readonly buffer Radiances { vec4 cells[]; }; // LAYERS a side, front and back of each
 layout(rgba32f, binding = 0) writeonly uniform image2DArray light;
 
 void main() {

@@ -2,8 +2,12 @@
 
     camera = DropFolder(Path("~/captures"), SystemClock(), command=["eos-remote", "--shutter", "{exposure_s}"])
 
-Without a command somebody, or an intervalometer, releases the shutter after `trigger`. Files that were there before
-are ignored, and so is what the software writes beside a RAW file; its files stay where they are.
+Without a command somebody, or an intervalometer, releases the shutter after `trigger`; what it delivers is first seen
+in the trial frame of `phoslab measure`, lamp off. Files that were there before are ignored, and so is what the software
+writes beside a RAW file; its files stay where they are.
+
+A frame's own EXIF data say when it was taken, to the second, by a clock that nobody has set to this computer's. That
+is worse than what is known here, to some tenths of a second, and is not used.
 """
 
 from __future__ import annotations
@@ -83,6 +87,11 @@ class DropFolder(Tethered):
     def facts(self) -> dict[str, Any]:
         """What the rig says of it."""
         return dict(self._facts)
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether nothing here releases the shutter: somebody has to after `trigger`."""
+        return not self._command
 
     def _connect(self) -> None:
         if not self._folder.is_dir() or not os.access(self._folder, os.R_OK | os.X_OK):

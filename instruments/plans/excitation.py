@@ -4,6 +4,9 @@ the sample (Nalbach 2017, 8.4.6).
 The sample first rests in the dark until nothing is left in it. It is then lit for a time t, the lamp goes off, the
 door opens, and a frame is taken. t doubles until the glow no longer grows; then times between are measured where it
 grew most. Each t needs a sample without excitation, so each is a part of its own, with its rest before it.
+
+A lamp that has rested as long is cold, and no shutter keeps its light from the sample while it warms up. So either a
+hand puts the grey card in the sample's place for the warm-up, or the light is a cold lamp's (docs/accuracy.md).
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ from phoslab.instruments.plans.steps import (
     Step,
     Wait,
 )
+from phoslab.instruments.plans.warm_up import warm_up
 from phoslab.plan_parameters import Excitation
 
 GROWTH = 3.0
@@ -70,9 +74,17 @@ def _excite(
     yield Part(f"{lit_s:g} s of light")
     yield Lamp("off")
     yield Door("closed")
-    number = k % p.samples + 1
-    yield Stage("sample" if p.samples == 1 else f"sample {number}", lvf="sample")
+    sample = Stage("sample" if p.samples == 1 else f"sample {k % p.samples + 1}", lvf="sample")
+    if p.warm_up == "none":
+        yield sample
     yield Dark(p.dark_s)
+    if p.warm_up == "card":
+        # The filter stays: only what lies under it is exchanged, and the sample goes on resting elsewhere.
+        yield Stage("card", lvf="sample")
+        yield from warm_up("lamp", setup)
+        yield Lamp("off")
+        yield Door("closed")
+        yield sample
     yield Lamp("on")
     yield Wait(lit_s, f"exciting for {lit_s:g} s")
     off_s: float = yield Lamp("off")

@@ -3,6 +3,7 @@
 SCENE is a scene.toml, or the folder that holds one. OUT ends in .png (as a display shows it) or .exr (radiance in
 spectral bands, and XYZ); several times give OUT with the time in its name. An OUT that ends in .basis.exr holds how the
 scene fades from one time in the dark on; given as SCENE, it gives the picture at any later time without rendering.
+One that ends in .mp4 is a film of the time from --from to --to, with all that the scene's animation moves.
 """
 
 from __future__ import annotations
@@ -20,13 +21,14 @@ from phoslab.errors import PhoslabError
 from phoslab.files import check_writable
 
 if TYPE_CHECKING:
-    from phoslab.render import TransportParameters
+    from phoslab.render import Scene, TransportParameters
 
 HELP = "render a scene at given times"
 EXAMPLE = "phoslab render scenes/fading -o glow.png --at off-1s,off+1s,off+80s"
 
 # What the renderer knows by name, so that bad usage needs no renderer to be found out. A test compares them.
-SUFFIXES = (".png", ".exr")
+SUFFIXES = (".png", ".exr", ".mp4")
+FILM = ".mp4"
 BASIS = ".basis.exr"
 SOLVERS = ("euler", "substep", "exact", "exact2", "rk23")
 FORMATS = ("f32", "f16", "unorm16", "f32c")
@@ -42,6 +44,9 @@ LARGEST_SIDE = 16384
 
 MOST_SAMPLES = 1 << 20
 
+# While glow excites: it changes as slowly as materials fade.
+GLOW_STEP_S = 0.25
+
 T = TypeVar("T")
 
 
@@ -49,7 +54,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("scene", metavar="SCENE", type=Path, help="a scene.toml, or its folder")
     parser.add_argument(
-        "-o", "--out", metavar="OUT", type=_picture, required=True, help="a .png or .exr to write"
+        "-o", "--out", metavar="OUT", type=_picture, required=True, help="a .png, .exr or .mp4 to write"
     )
     parser.add_argument(
         "--at",
@@ -58,6 +63,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="seconds, or off+80s, off-1s; comma between (default: the scene's)",
     )
     parser.add_argument(
+        "--from", dest="begin", metavar="TIME", type=_time, help="where a film begins (default 0)"
+    )
+    parser.add_argument("--to", dest="end", metavar="TIME", type=_time, help="where a film ends")
+    parser.add_argument("--fps", metavar="N", type=_positive, help="pictures of a film a second (default 30)")
+    parser.add_argument(
         "--solver",
         choices=SOLVERS,
         help="exact: any stretch of constant light in one step (default); exact2: the same, and the mean light of "
@@ -65,7 +75,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "step by step",
     )
     parser.add_argument(
-        "--step", metavar="S", type=_seconds, default=1 / 60, help="length of a step in s (default 1/60)"
+        "--step",
+        metavar="S",
+        type=_positive,
+        help="length of a step in s while light varies or things move (default 1/60; of a film, one a picture; "
+        "0.25 where glow excites)",
     )
     parser.add_argument(
         "--state-format",
@@ -137,6 +151,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="let reference follow light to its end instead of for one reflection",
     )
     parser.add_argument(
+        "--bounces",
+        metavar="N",
+        type=_count,
+        default=1,
+        help="reflections of glow on its way to the camera, 1 (default) to 64; by tiles or reference",
+    )
+    parser.add_argument(
+        "--lamp-bounces",
+        action="store_true",
+        help="let surfaces light and charge others with what they reflect of the lamps, too; by tiles",
+    )
+    parser.add_argument(
+        "--glow-excites",
+        action="store_true",
+        help="let the light of phosphors charge phosphors, step by step; by tiles",
+    )
+    parser.add_argument(
         "--size", metavar="WxH", type=_size, help="size of the picture in pixels (default: the scene's)"
     )
     parser.add_argument(
@@ -154,10 +185,13 @@ def run(args: argparse.Namespace) -> int:
     from phoslab.render import load_scene, render, render_fade_basis
 
     check_writable(args.out)
+    _check_film(args)
     if args.scene.name.lower().endswith(BASIS):
         return _say(args, *_from_basis(args))
     scene = load_scene(args.scene)
     transport = _transport(args)
+    if args.out.suffix.lower() == FILM:
+        return _say(args, [args.out], _film(args, scene, transport))
     if args.out.name.lower().endswith(BASIS):
         basis = render_fade_basis(
             scene, *_one_time(args.at), transport=transport, size=args.size, state_format=args.state_format
@@ -170,7 +204,7 @@ def run(args: argparse.Namespace) -> int:
             scene,
             args.at,
             solver=args.solver,
-            step_s=args.step,
+            step_s=args.step or (GLOW_STEP_S if args.glow_excites else 1 / 60),
             state_format=args.state_format,
             transport=transport,
             size=args.size,
@@ -195,8 +229,52 @@ def _transport(args: argparse.Namespace) -> TransportParameters:
         "samples": args.samples,
     }
     return TransportParameters(
-        args.gi, full=args.full_transport, **{k: v for k, v in said.items() if v is not None}
+        args.gi,
+        full=args.full_transport,
+        bounces=args.bounces,
+        lamps=args.lamp_bounces,
+        excites=args.glow_excites,
+        **{k: v for k, v in said.items() if v is not None},
     )
+
+
+def _check_film(args: argparse.Namespace) -> None:
+    """Refuse what belongs to a film without one, and the other way round."""
+    film = args.out.suffix.lower() == FILM
+    asked = [
+        name for name, value in (("--from", args.begin), ("--to", args.end), ("--fps", args.fps)) if value
+    ]
+    if asked and not film:
+        raise PhoslabError(
+            "belongs to a film", field=asked[0], remedy=f"Name an OUT that ends in {FILM}, or use --at."
+        )
+    if film and (args.at or args.debug):
+        name = "--at" if args.at else "--debug"
+        raise PhoslabError("belongs to single pictures", field=name, remedy="Use --from and --to for a film.")
+    if film and args.end is None:
+        raise PhoslabError("is missing", field="--to", remedy="Say when the film ends, such as --to off+10s.")
+    if film and args.scene.name.lower().endswith(BASIS):
+        raise PhoslabError("holds single pictures", file=args.scene, remedy="Name the scene for a film.")
+
+
+def _film(args: argparse.Namespace, scene: Scene, transport: TransportParameters) -> Sequence[str]:
+    from phoslab.render import render_film
+
+    begin, end = (scene.schedule.parse_time(t) for t in (args.begin or "0", args.end))
+    with progress_bar("rendering", quiet=args.json) as progress:
+        return render_film(
+            scene,
+            args.out,
+            begin,
+            end,
+            args.fps or 30.0,
+            solver=args.solver,
+            step_s=args.step,
+            state_format=args.state_format,
+            transport=transport,
+            size=args.size,
+            progress=progress,
+        )
 
 
 def _one_time(at: list[str] | None) -> list[str]:
@@ -242,14 +320,14 @@ def _size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def _seconds(text: str) -> float:
+def _positive(text: str) -> float:
     try:
-        seconds = float(text)
+        number = float(text)
     except ValueError:
-        seconds = 0.0
-    if not 0 < seconds < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is no positive number of seconds")
-    return seconds
+        number = 0.0
+    if not 0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is no positive number")
+    return number
 
 
 def _count(text: str) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 HELP = "measure speed against accuracy on this machine"
 EXAMPLE = "phoslab trade solver -o trade-solver --quick"
 
-TRADES = ("solver", "fit")
+TRADES = ("solver", "fit", "gi")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -131,8 +131,9 @@ class CameraContract:
 
     def test_what_it_does_not_offer_is_refused_with_the_nearest(self, staged: Camera) -> None:
         values = staged.choices.get("exposure_s")
-        if not values:
-            pytest.skip("it does not say what it offers")
+        if not values:  # a hand sets it, to whatever there is; its frames tell what that was
+            staged.set(Exposure(1234.5, 100, None)).wait(PATIENCE_S)
+            return
         with pytest.raises(DeviceError, match=f"nearest .* {values[-1]:g}"):
             staged.set(Exposure(values[-1] * 7, 100, None)).wait(PATIENCE_S)
 

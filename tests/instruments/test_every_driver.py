@@ -129,6 +129,36 @@ class World(threading.Thread):
         return bool(told) and json.loads(told[-1])["arguments"]["to"] == "open"
 
 
+@pytest.mark.parametrize("lamp", ["lcus-1"], indirect=True)
+def test_a_camera_that_a_hand_releases_is_tried_before_the_lamp_is_on(
+    lamp: tuple[BoardProcess, str], tmp_path: Path
+) -> None:
+    """It delivers JPEG, which only its frames can tell."""
+    board, tables = lamp
+    folder, rig = tmp_path / "frames-come-here", tmp_path / "rig.toml"
+    folder.mkdir()
+    rig.write_text(
+        f'schema = "phoslab-rig/1"\nname = "by hand"\n{tables}[camera]\ndriver = "drop-folder"\n'
+        f'folder = "{folder}"\nexposures_s = [0.5]\nisos = [100]\npatience_s = 2\n'
+    )
+    with subprocess.Popen(
+        [sys.executable, "-m", "phoslab", "measure", "decay", "--rig", rig, "-o", tmp_path / "s"],
+        env=same_phoslab(),
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        asked = process.stderr.readline()
+        (folder / "IMG_0001.CR2").write_bytes(b"\xff\xd8\xff\xe1" + bytes(1000))
+        told = process.stderr.read()
+    assert "Release the shutter" in asked, asked + told
+    assert process.returncode == 1
+    assert "no RAW file" in told
+    assert all(pin.value == 0 for pin in board.pins)
+    assert not (tmp_path / "s").exists()
+
+
 def answered(process: subprocess.Popen[bytes], world: World) -> str:
     """Do what the program asks a hand for, until it ends; return what it said.
 

@@ -124,6 +124,26 @@ class Builder:
             extensions={"KHR_lights_punctual": {"light": len(self.lights) - 1}},
         )
 
+    def animate(
+        self, name: str, path: str, times: Any, values: Any, interpolation: str = "LINEAR"
+    ) -> Builder:
+        """Move the node `name`; one with a matrix is given its place alone."""
+        index, node = next((k, n) for k, n in enumerate(self.gltf["nodes"]) if n["name"] == name)
+        if "matrix" in node:
+            node["translation"] = node.pop("matrix")[12:15]
+        (animation,) = self.gltf.setdefault("animations", [{"samplers": [], "channels": []}])
+        values = np.array(values, dtype="<f4")
+        animation["samplers"].append(
+            {
+                "input": self.accessor(np.array(times, dtype="<f4").reshape(-1, 1), 5126, "SCALAR"),
+                "output": self.accessor(values, 5126, f"VEC{values.shape[1]}"),
+                "interpolation": interpolation,
+            }
+        )
+        target = {"node": index, "path": path}
+        animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
+        return self
+
     def lamp(self, at: Sequence[float] = (0, 0, 2)) -> Builder:
         """A point light called `lamp`."""
         matrix = np.eye(4)

@@ -9,7 +9,7 @@ from phoslab.render import load_scene, render
 from phoslab.sample_data import scene_occluder
 from phoslab.sample_data.make_scenes import SCENES, WRITERS
 
-GLOWING = ("cornell", "occluder", "confetti", "corridor")
+GLOWING = ("cornell", "occluder", "confetti", "corridor", "lantern")
 
 
 @pytest.mark.parametrize("name", GLOWING)

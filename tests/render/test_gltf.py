@@ -129,7 +129,7 @@ def test_a_required_extension_that_is_unknown_is_refused(build, refuses):
     assert "'KHR_draco_mesh_compression'" in refuses(read, build)
 
 
-def test_animations_are_said_to_be_left_aside(build):
+def test_skins_are_said_to_be_left_aside(build):
     build.mesh("quad").camera()
-    build.gltf["animations"] = [{"channels": [], "samplers": []}]
-    assert "animations" in read(build).warnings[0]
+    build.gltf["skins"] = [{"joints": [0]}]
+    assert "skins" in read(build).warnings[0]

@@ -46,9 +46,11 @@ class Player:
     Args:
         light: brightness of what the camera sees, in levels at gain 1, from the s since lamp-off (None while it is on),
             how the bench stands, and the s for which the lamp was on before.
+        cold: whether the lights are, whenever it is asked.
     """
 
     light: Light
+    cold: bool = False
     now_s: float = 1000.0
     on: bool = False
     off_s: float = -1e9
@@ -82,7 +84,7 @@ class Player:
                     self.troubles.append("a hand is asked for while the lamp is on")
                 self.stage = step
             case Cold():
-                return False
+                return self.cold
             case Lamp(to):
                 if self.on and to == "off":
                     self.off_s = self.now_s
@@ -253,6 +255,25 @@ def test_each_excitation_begins_with_a_sample_that_rested_in_the_dark(samples: i
         before = [s for t, s in lit[:k] if t == target]
         if before:
             assert off_s - before[-1] > 3600
+
+
+def test_an_excitation_whose_lamp_warms_up_on_the_card_lights_the_sample_only_for_its_exposure() -> None:
+    glow = filling(40.0, 100.0)
+
+    def light(since_s: float | None, stage: Stage, on_s: float) -> float:
+        return 40.0 if stage.target == "card" and since_s is None else glow(since_s, stage, on_s)
+
+    plan = start(
+        parameters("excitation", {"dark_s": 3600, "last_s": 8, "between": 0, "warm_up": "card"}), SETUP
+    )
+    player = Player(light, cold=True).play(plan)
+    assert player.troubles == []
+    # Card and sample in turn, and the sample right after the card: the lamp is still warm.
+    assert [target for target, _ in player.lit] == ["card", "sample"] * 4
+    for (_, warm_s), (_, off_s), lit_s in zip(player.lit[::2], player.lit[1::2], (1, 2, 4, 8), strict=True):
+        assert off_s - warm_s == pytest.approx(lit_s, abs=0.5)
+    exposed = [off_s for target, off_s in player.lit if target == "sample"]
+    assert all(b - a > 3600 for a, b in itertools.pairwise(exposed))
 
 
 def test_flats_hold_an_overlap_for_every_neighbouring_exposure_time_iso_and_aperture() -> None:

@@ -1,0 +1,290 @@
+"""The trade of glow transport: what each way costs, and how far it is from a path tracer, on this machine, in one run.
+
+Every way of `glow_methods` that offers settings here is drawn at each of them: the time of a picture of a new view
+(what holds while nothing moves apart: cells, and the path tracer's own scene), and of a later picture of the same
+view. Mitsuba's `path` traces the same light with a few paths a pixel, as it comes and behind the same filter. The
+truth is Mitsuba with many.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.app.trades.page import Plot, Section, Table, write_trade
+from phoslab.errors import PhoslabError
+from phoslab.render import TransportParameters, load_scene
+from phoslab.render.device import Device
+from phoslab.render.glow_methods import METHODS
+from phoslab.render.path_tracer import trace
+from phoslab.render.reference import Reference
+from phoslab.render.renderer import Renderer, RenderParameters
+from phoslab.render.tiles import Tiles
+from phoslab.sample_data.make_scenes import SCENES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float32]
+Progress = Callable[[int, int], None]
+
+# By scene, the moment that is looked at: shortly after the light went off, where there was one.
+MOMENTS = {"cornell": "off+1s", "occluder": "0", "corridor": "off+1s", "confetti": "0"}
+
+# What a way offers; one that is not named here is drawn at its defaults.
+SETTINGS: dict[str, Sequence[dict[str, Any]]] = {
+    "tiles": (
+        {"directions": 1},
+        {"directions": 2},
+        {"directions": 4},
+        {"directions": 8},
+        {"directions": 32},
+        {"directions": 8, "cell": 0.05},
+        {"directions": 8, "cell": 0.0125},
+        {"directions": 8, "detail": 0.15},
+        {"directions": 8, "detail": 0.6},
+    ),
+    "dss": ({"epsilon": 0.08}, {"epsilon": 0.02}, {"surfel": 0.04}),
+    "dss-z": ({"directions": 1}, {"directions": 4}, {"epsilon": 0.08}, {"surfel": 0.04}),
+}
+PATHS = (1, 4, 16, 64)
+FEWER_PATHS = (1, 4, 16)
+
+
+@dataclass(frozen=True)
+class Point:
+    """One way at one setting in one scene.
+
+    Args:
+        error: mean of (a - r)² / (r² + 1e-4), both over the brightest value of r.
+        first_ms: of a picture of a new view.
+        again_ms: of a later picture of the same view.
+    """
+
+    scene: str
+    method: str
+    setting: str
+    error: float
+    first_ms: float
+    again_ms: float
+
+
+def relative_error(a: Floats, r: Floats) -> float:
+    """Return the mean of (a - r)² / (r² + 1e-4), both over the brightest value of `r`.
+
+    >>> round(relative_error(np.array([0.9, 0.0]), np.array([1.0, 0.0])), 4)
+    0.005
+    """
+    scale = float(r.max(initial=0.0)) or 1.0
+    x, y = a.astype(np.float64) / scale, r.astype(np.float64) / scale
+    return float(np.mean((x - y) ** 2 / (y**2 + 1e-4)))
+
+
+def measure(folder: Path, *, quick: bool, progress: Progress) -> tuple[list[str], list[Path]]:
+    """Run every measurement and write the page; return its summary and the files.
+
+    Raises:
+        PhoslabError: Mitsuba is not installed.
+    """
+    check_reference()
+    names = ("cornell",) if quick else tuple(MOMENTS)
+    size, truth_samples, runs = ((96, 96), 256, 1) if quick else ((512, 512), 1024, 3)
+    points: list[Point] = []
+    with tempfile.TemporaryDirectory() as temporary, Device() as device:
+        for k, name in enumerate(names):
+            progress(k, len(names))
+            scene_folder = _in_three_bands(name, Path(temporary))
+            bench = _Bench(device, name, scene_folder, size, runs)
+            with device.scope():
+                points += bench.measure(truth_samples, FEWER_PATHS if quick else PATHS, quick)
+        gl = device.renderer
+    progress(len(names), len(names))
+    summary = [line for name in names for line in _verdicts(name, [p for p in points if p.scene == name])]
+    table = Table(
+        "points",
+        f"Glow that is reflected once, {size[0]} x {size[1]} pixels of 2² samples, three bands, against "
+        f"{truth_samples} paths a pixel. First: a new view, where only what moves with the scene was there; Mitsuba's "
+        "time is without its set-up of the scene.",
+        ("scene", "method", "setting", "relative squared error", "first [ms]", "again [ms]"),
+        [(p.scene, p.method, p.setting, p.error, p.first_ms, p.again_ms) for p in points],
+    )
+    plot = Plot(
+        "precision", "Error against the time of a new view; both fall to the lower left.", _plot(points)
+    )
+    sections = [Section("What does an error cost?", [PROSE], [plot, table])]
+    data = {"quick": quick, "points": [vars(p) for p in points]}
+    title = "Glow that lights other things: speed against accuracy"
+    return summary, write_trade(folder, "gi", title, summary, sections, data, gl=gl)
+
+
+PROSE = (
+    "The path tracer's error is noise, whose square falls with the paths; what is filtered, ours and its own, keeps "
+    "the filter's blur. Most of the gain over raw paths is the filter: both comparisons are given."
+)
+
+
+def _in_three_bands(name: str, folder: Path) -> Path:
+    """Copy a sample scene, to be rendered in three bands."""
+    copy = folder / name
+    shutil.copytree(SCENES / name, copy)
+    toml = copy / "scene.toml"
+    text = toml.read_text(encoding="utf-8")
+    toml.write_text(
+        text.replace("[render]\n", "[render]\nbands_nm = [400, 500, 600, 700]\n"), encoding="utf-8"
+    )
+    return copy
+
+
+class _Bench:
+    """One scene at one moment: its glow, by any way, as it is reflected alone."""
+
+    def __init__(self, device: Device, name: str, folder: Path, size: tuple[int, int], runs: int) -> None:
+        self._device, self._name, self._size, self._runs = device, name, size, runs
+        self._scene = load_scene(folder)
+        self._moment_s = self._scene.schedule.parse_time(MOMENTS[name])
+
+    def measure(self, truth_samples: int, paths: Sequence[int], quick: bool) -> Iterator[Point]:
+        """Yield a point for each way and setting."""
+        renderer = self._renderer("tiles", {})
+        tiles, reference = renderer.transport, self._renderer("reference", {}).transport
+        assert isinstance(tiles, Tiles)
+        assert isinstance(reference, Reference)
+        self._truth = self._paths(reference, truth_samples, seed=1)[0]
+        for method, settings in self._ways(quick):
+            for setting in settings:
+                with self._device.scope():
+                    yield self._drawn(method, setting)
+        empty_s = min(self._paths(reference, 1, reflections=0)[1] for _ in range(2))
+        for n in paths:
+            picture, s = self._paths(reference, n)
+            yield self._traced("mitsuba", n, picture, s - empty_s, 0.0)
+            light, s = self._paths(reference, n, white=True)
+            filtered, filter_s = self._filtered(renderer, tiles, light)
+            yield self._traced("mitsuba, filtered", n, filtered, s - empty_s, filter_s)
+
+    def _ways(self, quick: bool) -> Iterator[tuple[str, Sequence[dict[str, Any]]]]:
+        for method in METHODS:
+            if method != Reference.name:
+                settings = SETTINGS.get(method, ({},))
+                yield method, settings[: 4 if method == Tiles.name else 1] if quick else settings
+
+    def _renderer(self, method: str, setting: dict[str, Any]) -> Renderer:
+        transport = TransportParameters(method, **setting)
+        renderer = Renderer(self._device, self._scene, RenderParameters(self._size, 2, transport=transport))
+        renderer.frame(self._moment_s)
+        return renderer
+
+    def _drawn(self, method: str, setting: dict[str, Any]) -> Point:
+        renderer = self._renderer(method, setting)
+        transport, device = renderer.transport, self._device
+        assert transport is not None
+        first, again = [], []
+        for _ in range(self._runs):
+            device.ctx.finish()
+            begin = time.perf_counter()
+            transport.prepare()
+            device.ctx.finish()
+            prepared = time.perf_counter()
+            self._reflected(renderer, lambda: transport.run(renderer.direct_light.radiance))
+            done = time.perf_counter()
+            first.append(done - begin)
+            again.append(done - prepared)
+        error = relative_error(renderer.resolve.read(), self._truth)
+        said = ", ".join(f"{k} {v:g}" for k, v in setting.items()) or "default"
+        return Point(self._name, method, said, error, 1e3 * median(first), 1e3 * median(again))
+
+    def _reflected(self, renderer: Renderer, add: Callable[[], None]) -> None:
+        """Resolve what one way adds to a black picture."""
+        renderer.direct_light.run(renderer.gbuffer, renderer.drawables, {})
+        add()
+        renderer.resolve.run(renderer.direct_light.radiance)
+        self._device.ctx.finish()
+
+    def _paths(
+        self, reference: Reference, samples: int, *, seed: int = 2, reflections: int = 1, white: bool = False
+    ) -> tuple[Floats, float]:
+        """Return the light of one reflection by so many paths a pixel, and the time of paths that count all light.
+
+        Args:
+            white: as if what the camera sees reflected all: E / π.
+        """
+        meshes = reference.meshes(white=white)
+        camera = self._scene.camera
+        begin = time.perf_counter()
+        trace(meshes, camera, self._size, reflections=reflections, samples=samples, seed=seed)
+        s = time.perf_counter() - begin
+        return trace(
+            meshes, camera, self._size, reflections=reflections, samples=samples, seed=seed, direct=False
+        ), s
+
+    def _filtered(self, renderer: Renderer, tiles: Tiles, light: Floats) -> tuple[Floats, float]:
+        begin = time.perf_counter()
+        self._reflected(renderer, lambda: tiles.reflect(light, renderer.direct_light.radiance))
+        return renderer.resolve.read(), time.perf_counter() - begin
+
+    def _traced(self, method: str, n: int, picture: Floats, traced_s: float, filter_s: float) -> Point:
+        ms = 1e3 * (max(traced_s, 1e-4) + filter_s)
+        return Point(self._name, method, f"{n} paths", relative_error(picture, self._truth), ms, ms)
+
+
+def _verdicts(name: str, points: Sequence[Point]) -> Iterator[str]:
+    """Say how long tiles take to the error of the most raw paths, and to that of filtered ones."""
+    tiles = [p for p in points if p.method == Tiles.name]
+    for method in ("mitsuba", "mitsuba, filtered"):
+        rivals = [p for p in points if p.method == method]
+        rival = rivals[-1] if method == "mitsuba" else min(rivals, key=lambda p: p.error)
+        good = [p for p in tiles if p.error <= rival.error]
+        if not good:
+            best = min(tiles, key=lambda p: p.error)
+            yield (
+                f"{name}: {method} with {rival.setting} has the error {rival.error:.2g}, which tiles do not reach "
+                f"(best {best.error:.2g}, {best.setting})."
+            )
+            continue
+        quickest = min(good, key=lambda p: p.first_ms)
+        yield (
+            f"{name}: tiles ({quickest.setting}) have the error {quickest.error:.2g} in {quickest.first_ms:.0f} ms; "
+            f"{method} with {rival.setting} has {rival.error:.2g} in {rival.first_ms:.0f} ms: "
+            f"{rival.first_ms / quickest.first_ms:.2g} times as long."
+        )
+
+
+def _plot(points: Sequence[Point]) -> Figure:
+    from matplotlib.figure import Figure
+
+    names = list(dict.fromkeys(p.scene for p in points))
+    figure = Figure(figsize=(4.2 * len(names), 3.6), layout="constrained")
+    for k, name in enumerate(names):
+        axes = figure.add_subplot(1, len(names), k + 1)
+        for method in dict.fromkeys(p.method for p in points):
+            of = sorted(
+                (p for p in points if (p.scene, p.method) == (name, method)), key=lambda p: p.first_ms
+            )
+            axes.loglog([p.first_ms for p in of], [p.error for p in of], "o-", label=method, markersize=4)
+        axes.set(title=name, xlabel="time of a new view [ms]", ylabel="relative squared error")
+        axes.grid(visible=True, which="major", alpha=0.3)
+    axes.legend(fontsize="small")
+    return figure
+
+
+def check_reference() -> None:
+    """Refuse before any work where there is no Mitsuba.
+
+    Raises:
+        PhoslabError: it is not installed.
+    """
+    import importlib.util
+
+    if importlib.util.find_spec("mitsuba") is None:
+        raise PhoslabError(
+            "is not installed", field="the path tracer mitsuba", remedy="pip install 'phoslab[reference]'"
+        )

@@ -1,0 +1,59 @@
+"""Scenes at which glow transport could break: a right picture or a word, never a crash or silent black."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phoslab.render import TransportParameters, render
+
+TILES = TransportParameters("tiles", directions=4, guided=0.0)
+
+
+def glow(path, size=(16, 16), transport=TILES):
+    return render(path, ["0"], size=size, supersampling=1, transport=transport)
+
+
+@pytest.mark.parametrize("metres", [1e-3, 1e3])
+def test_a_room_of_a_millimetre_and_of_a_kilometre_is_as_bright_as_one_of_two_metres(build, rooms, metres):
+    """The closed box, scaled: 0.75 in every pixel, to float32."""
+    rooms.closed_box(build)
+    for node in build.gltf["nodes"]:
+        node["translation"] = (np.array(node.get("translation", [0.0, 0, 0])) * metres).tolist()
+        node["scale"] = [metres] * 3
+    build.gltf["cameras"][0]["perspective"]["znear"] *= metres
+    np.testing.assert_allclose(glow(build.write())[0].radiance, 0.75, rtol=1e-5)
+
+
+def test_triangles_without_area_and_edges_of_three_change_nothing(build, rooms):
+    """Three sheets share an edge, and one triangle is a line: it glows, is unfolded, and lights the floor."""
+    at = np.array([[0.0, 0, 0], [0, 1, 0], [1, 0.5, 0], [-0.5, 0.5, 0.8], [-0.5, 0.5, -0.8], [0, 0.5, 0]])
+    triangles = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 1, 5]])
+    build.mesh("fan", at, triangles, uv=None)
+    floor = np.array([[-3.0, -0.2, -3], [3, -0.2, -3], [3, -0.2, 3], [-3, -0.2, 3]])
+    build.mesh("floor", floor, np.array([[0, 2, 1], [0, 3, 2]]), uv=None, colour=(0.8, 0.8, 0.8))
+    build.camera(4.0, 0.8)
+    path = build.text(rooms.write_material(build, "fan", [1.0] * 3, [0.5] * 3) + rooms.SATURATED).write()
+    with_glow, without = (glow(path, (32, 32), t)[0].radiance for t in (TILES, TransportParameters()))
+    assert np.isfinite(with_glow).all()
+    assert (with_glow >= without).all()
+    assert (with_glow > without).mean() > 0.1
+
+
+def test_without_a_phosphor_it_says_that_there_is_nothing_to_do(quad, lamp_toml):
+    frames = render(quad.lamp().text(lamp_toml).write(), ["0"], size=(8, 8), transport=TILES)
+    assert frames[0].radiance.max() > 0
+    assert any("nothing in the scene is phosphorescent" in warning for warning in frames.warnings)
+
+
+def test_a_camera_inside_a_wall_sees_black_and_says_so(build, rooms):
+    """Between the two faces of a thick wall that glows on its outsides."""
+    from phoslab.sample_data.shapes import box
+
+    wall = box((-5, -5, -0.1), (5, 5, 0.1))
+    build.mesh("wall", wall.positions, wall.triangles, uv=None).camera(0.0, 0.5)
+    build.gltf["cameras"][0]["perspective"]["znear"] = 0.01
+    path = build.text(rooms.write_material(build, "wall", [0.0] * 3, [0.5] * 3) + rooms.SATURATED).write()
+    frames = glow(path)
+    assert frames[0].radiance.max() == 0
+    assert any("is black" in warning for warning in frames.warnings)
