@@ -124,11 +124,15 @@ def test_a_camera_without_known_sensitivities_is_refused(green_decay, monkeypatc
         fit_session([green_decay], preset="green")
 
 
-def test_the_sample_scene_shows_the_material_that_this_session_gives(green_fit):
-    shipped = files("phoslab.sample_data") / "scenes" / "fading" / "material.json"
-    with as_file(shipped) as path:
+def test_the_sample_scene_shows_the_material_that_the_sample_sessions_give():
+    samples = files("phoslab.sample_data")
+    with as_file(samples / "sessions" / "green") as sessions:
+        fitted = fit_session([sessions], lvf=sessions / "lvf.json").material
+    with as_file(samples / "scenes" / "fading" / "material.json") as path:
         material = Material.load(path)
-    # A minimum that is found to the last digits; another version of a library may round on another way to it.
-    assert material.kr_per_s == pytest.approx(green_fit.material.kr_per_s, rel=1e-6)
-    assert material.emission == pytest.approx(green_fit.material.emission, rel=1e-6)
-    assert material.provenance["sessions"] == green_fit.material.provenance["sessions"]
+    # A minimum that is found to the last digits; another version of a library may round on another way to it. Emission
+    # and ke may change against each other, as far as only their product is known: a hundredth of what that is.
+    assert material.kr_per_s == pytest.approx(fitted.kr_per_s, rel=1e-6)
+    error = np.asarray(fitted.standard_error["emission"])
+    assert (np.abs(material.emission - fitted.emission) <= 0.01 * error + 1e-6 * fitted.emission).all()
+    assert material.provenance["sessions"] == fitted.provenance["sessions"]
