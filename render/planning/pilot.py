@@ -79,10 +79,11 @@ class Pilot:
         lamp: (T, P, K) lamp light, reflected once.
         glow: (T, P, K) glow that comes straight.
         bounces: (n, T, P, K) glow after 1 to n reflections.
-        by_source: (n + 1, T, D) mean luminance that each drawable's glow brings, straight and by reflections.
+        by_source: (n + 1, T, D) mean X + Y + Z that each drawable's glow brings, straight and by n reflections.
         sampled: by the number of the drawable.
         visible: (D,) share of the pixels in which each drawable is seen.
-        texel_share: (D,) share of its own surface that is seen, at the most.
+        side_px: (D,) side of the square that each surface would fill on the picture, laid out flat at the distance
+            from which it is seen.
     """
 
     scene: Scene
@@ -94,6 +95,7 @@ class Pilot:
     by_source: Array
     sampled: dict[int, Sampled]
     visible: Array
+    side_px: Array
 
     @property
     def to_xyz(self) -> Array:
@@ -192,15 +194,16 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
         kr, ke, emission = (
             _looked_up(field, at_point.uv) for field in (optics.kr_per_s, optics.ke_width, optics.emission)
         )
-        r = charged(scene.schedule, phosphor.initial, drive, kr, _per_light(ke, scene), at)
+        r = charged(scene.schedule, phosphor.initial, drive, kr, per_light(ke, scene), at)
         L = np.einsum("tnc,nc,nck->tnk", r, kr, emission)
         sampled[int(k)] = Sampled(phosphor, drive, kr, ke, emission, L @ to_xyz)
         arriving = L * all_weights[own]
         np.add.at(by_order.swapaxes(0, 1), (slice(None), all_orders[own], all_pixels[own]), arriving)
-        luminance = (arriving @ to_xyz).sum(axis=-1) / n_pixels
+        brought = (arriving @ to_xyz).sum(axis=-1) / n_pixels
         for order in range(REFLECTIONS + 1):
-            by_source[order, :, k] = luminance[:, all_orders[own] == order].sum(axis=1)
-    return Pilot(scene, at, shape, lamp, by_order[0], by_order[1:], by_source, sampled, visible)
+            by_source[order, :, k] = brought[:, all_orders[own] == order].sum(axis=1)
+    side_px = _sides(scene, triangles, seen, pixel, eye, direction, size)
+    return Pilot(scene, at, shape, lamp, by_order[0], by_order[1:], by_source, sampled, visible, side_px)
 
 
 def light_factors(lights: Sequence[Light], triangles: Triangles, points: Points, normal: Array) -> Array:
@@ -228,7 +231,31 @@ def light_factors(lights: Sequence[Light], triangles: Triangles, points: Points,
     return factors
 
 
-def _per_light(ke_width: Array, scene: Scene) -> Array:
+def _sides(
+    scene: Scene,
+    triangles: Triangles,
+    seen: Points,
+    pixel: Index,
+    eye: Array,
+    direction: Array,
+    size: tuple[int, int],
+) -> Array:
+    """Return (D,) the root of each surface's area over that which a pixel sees of it; 0 where it is not seen."""
+    D = len(scene.drawables)
+    area = np.bincount(triangles.drawable, triangles.area, minlength=D)
+    angle = 2 * np.tan(scene.camera.yfov_rad / 2) / size[1]
+    distance = np.linalg.norm(seen.place - eye, axis=1)
+    cosine = np.abs(np.einsum("ij,ij->i", seen.towards, direction[pixel]))
+    # The finest that is seen counts: a pixel there sees the least.
+    side = np.zeros(D)
+    for k in np.unique(seen.drawable):
+        own = seen.drawable == k
+        footprint = np.quantile((distance[own] * angle) ** 2 / np.maximum(cosine[own], 0.1), 0.25)
+        side[k] = np.sqrt(area[k] / footprint)
+    return side
+
+
+def per_light(ke_width: Array, scene: Scene) -> Array:
     """Return (n, n_lights, n_c) the excitation in 1/s that each light gives at factor 1."""
     spectra = np.array([light.irradiance_at_1m for light in scene.lights]).reshape(-1, scene.transport.n)
     excitation: Array = np.einsum("nck,lk->nlc", ke_width, spectra)
