@@ -150,9 +150,7 @@ def read_plan(path: str | PathLike[str]) -> ModelPlan:
         choices=Choices(
             bands_nm=tuple(float(e) for e in made["bands_nm"]),
             surfaces={
-                name: Surface(
-                    s["glows"], tuple(tuple(group) for group in s["states"]), s["atlas_texels"]
-                )
+                name: Surface(s["glows"], tuple(tuple(group) for group in s["states"]), s["atlas_texels"])
                 for name, s in made["surfaces"].items()
             },
             solver=made["solver"],

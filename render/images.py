@@ -22,7 +22,13 @@ from phoslab.render.passes import Picture
 
 
 def write_png(
-    path: Path, frame: Frame, *, scene: str, solver: str, exposure: float, about: Mapping[str, str] | None = None
+    path: Path,
+    frame: Frame,
+    *,
+    scene: str,
+    solver: str,
+    exposure: float,
+    about: Mapping[str, str] | None = None,
 ) -> None:
     """Write the frame as a display shows it, 8-bit sRGB, with time, scene, solver and warnings as text."""
     from PIL.PngImagePlugin import PngInfo

@@ -26,7 +26,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", metavar="SCENE", type=Path, help="a scene.toml, or its folder")
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--max-error", metavar="BOUND", help="how wrong a picture may be: 2%%, 1dE or 0.05flip")
-    what.add_argument("--plan", metavar="FILE", type=Path, help="judge this plan, perhaps an edited one, instead")
+    what.add_argument(
+        "--plan", metavar="FILE", type=Path, help="judge this plan, perhaps an edited one, instead"
+    )
     parser.add_argument("--at", metavar="TIMES", help="as of phoslab render (default: the scene's times)")
     parser.add_argument("--size", metavar="WxH", help="size of the picture in pixels (default: the scene's)")
     parser.add_argument(
@@ -75,13 +77,16 @@ def table(plan: ModelPlan) -> list[str]:
         adds = "0" if term.error == 0 else bound.say(term.error)
         rows.append((term.name, term.choice, adds, "" if term.error == 0 else _KIND[term.kind], term.why))
     widths = [max(len(row[k]) for row in rows) for k in range(4)]
-    lines = ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, (*widths, 0), strict=True)).rstrip() for row in rows]
-    w, h = plan.size
+    lines = [
+        "  ".join(f"{cell:<{w}}" for cell, w in zip(row, (*widths, 0), strict=True)).rstrip() for row in rows
+    ]
+    (w, h), n = plan.size, len(plan.times)
+    pictures = f"{n} picture{'s' if n != 1 else ''} of {w} x {h}"
     return [
         *lines,
         "",
-        f"Together {bound.say(plan.predicted_error)} are predicted of the {bound} allowed; about {_duration(plan.predicted_s)} "
-        f"for {len(plan.times)} picture{'s' if len(plan.times) != 1 else ''} of {w} x {h}.",
+        f"Together {bound.say(plan.predicted_error)} are predicted of the {bound} allowed; "
+        f"about {_duration(plan.predicted_s)} for {pictures}.",
         "`<` marks a bound that cannot be passed, `~` an estimate from samples or from other scenes.",
         *(f"note: {note}" for note in plan.notes),
     ]
@@ -108,6 +113,8 @@ def _size(text: str | None) -> tuple[int, int] | None:
     parts = text.lower().split("x")
     if len(parts) != 2 or not all(p.isascii() and p.isdigit() and 1 <= int(p) <= 16384 for p in parts):
         raise PhoslabError(
-            f"{text!r} is no width x height", field="--size", remedy="Write it as 640x480, each from 1 to 16384."
+            f"{text!r} is no width x height",
+            field="--size",
+            remedy="Write it as 640x480, each from 1 to 16384.",
         )
     return int(parts[0]), int(parts[1])

@@ -65,7 +65,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "step by step",
     )
     parser.add_argument(
-        "--step", metavar="S", type=_seconds, default=DEFAULT_STEP_S, help="length of a step in s (default 1/60)"
+        "--step",
+        metavar="S",
+        type=_seconds,
+        default=DEFAULT_STEP_S,
+        help="length of a step in s (default 1/60)",
     )
     parser.add_argument(
         "--state-format",
@@ -134,7 +138,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--plan", metavar="FILE", type=Path, help="render by a plan that phoslab plan saved")
     parser.add_argument(
-        "--trade", metavar="FILE", type=Path, help="what --max-error knows of this machine (phoslab trade model)"
+        "--trade",
+        metavar="FILE",
+        type=Path,
+        help="what --max-error knows of this machine (phoslab trade model)",
     )
     parser.add_argument("--json", action="store_true", help="print files and warnings as JSON")
 

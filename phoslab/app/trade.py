@@ -19,7 +19,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", required=True, type=Path, metavar="DIR", help="folder to write into"
     )
     parser.add_argument(
-        "--scene", action="append", type=Path, metavar="SCENE", help="model: a scene to measure on (may be repeated)"
+        "--scene",
+        action="append",
+        type=Path,
+        metavar="SCENE",
+        help="model: a scene to measure on (may be repeated)",
     )
     parser.add_argument("--quick", action="store_true", help="fewer settings and runs: under a minute")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")

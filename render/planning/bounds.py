@@ -1,8 +1,8 @@
 """How wrong a picture may be, and how wrong one is: three ways to say it.
 
-    2%        mean |a - b| / mean b over all pixels and the three channels of XYZ
-    1dE       mean CIEDE2000 over the pixels, at the scene's exposure
-    0.05flip  mean LDR-FLIP over the pixels, at the scene's exposure (Andersson et al. 2020)
+2%        mean |a - b| / mean b over all pixels and the three channels of XYZ
+1dE       mean CIEDE2000 over the pixels, at the scene's exposure
+0.05flip  mean LDR-FLIP over the pixels, at the scene's exposure (Andersson et al. 2020)
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How full the states of a few points are at a few times, in float64: the renderer's rate equations without a device."""
+"""How full the states of a few points are at a few times: the rate equations in float64, without a device."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phoslab.programmes import mean
 from phoslab.render.light_course import Course
-from phoslab.render.scene import Initial
+from phoslab.render.scene import Initial, Scene
 from phoslab.render.schedule import Schedule
 from phoslab.solvers import equilibrium, exact_step
 
@@ -39,7 +39,7 @@ def charged(
     drive: Drive,
     kr: Array,
     per_light: Array,
-    moments: Sequence[float],
+    moments: Array | Sequence[float],
     edges: Array | None = None,
 ) -> Array:
     """Return (n_moments, n, n_c) the concentrations at ascending moments.
@@ -56,15 +56,24 @@ def charged(
         on = np.array([name in initial.lights for name in drive.names], dtype=np.float64)
         r = equilibrium(np.einsum("l,nlc->nc", on, a), kr)
     if edges is None:
-        edges = step_ends(schedule, max(moments))
+        edges = step_ends(schedule, float(max(moments)))
     ends = np.unique(np.concatenate([edges, np.asarray(moments, dtype=np.float64)]))
     states, at = {0.0: r}, 0.0
     for end in ends[ends > 0]:
         factors = np.array([mean_factor(course, at, float(end)) for course in alike])
-        r = exact_step(r, np.einsum("l,nlc->nc", factors, a) if len(alike) else np.zeros_like(kr), kr, end - at)
+        r = exact_step(
+            r, np.einsum("l,nlc->nc", factors, a) if len(alike) else np.zeros_like(kr), kr, end - at
+        )
         at = float(end)
         states[at] = r
     return np.stack([states[float(t)] for t in moments])
+
+
+def per_light(ke_width: Array, scene: Scene) -> Array:
+    """Return (n, n_lights, n_c) the excitation in 1/s that each light gives at factor 1."""
+    spectra = np.array([light.irradiance_at_1m for light in scene.lights]).reshape(-1, scene.transport.n)
+    excitation: Array = np.einsum("nck,lk->nlc", ke_width, spectra)
+    return excitation
 
 
 def step_ends(schedule: Schedule, end_s: float, steps: int = MOST_CHANGES) -> Array:

@@ -1,7 +1,8 @@
-"""What a picture costs, and what its ways to transport glow err by: from trade.json, measured by `phoslab trade model`."""
+"""What a picture costs, and what its ways to transport glow err by: as `phoslab trade model` measured it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
@@ -48,15 +49,18 @@ class Costs:
     ) -> float:
         """Return the predicted time of all pictures in s."""
         pixels = size[0] * size[1]
-        total = float(sum(self.costs_s[k] * v for k, v in features(scene, choices, size, moments, steps).items()))
+        total = float(
+            sum(self.costs_s[k] * v for k, v in features(scene, choices, size, moments, steps).items())
+        )
         alike = [m for m in self.gi if m.method == choices.gi["method"]]
         if alike:
-            nearest = min(alike, key=lambda m: _unlike(m.parameters, choices.gi))
+            nearest = min(alike, key=lambda m: unlike(m.parameters, choices.gi))
             total += nearest.s_per_pixel * pixels
         return total
 
 
-def _unlike(a: dict[str, Any], b: dict[str, Any]) -> float:
+def unlike(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
+    """Return how far apart the parameters `a` of a way are from those of another: in doublings."""
     return float(sum(abs(np.log2(float(v) / float(b.get(k, v)))) for k, v in a.items()))
 
 

@@ -70,7 +70,7 @@ def _other_light(pilot: Pilot) -> list[str]:
 
 
 def _recharging(pilot: Pilot) -> float | None:
-    """Return the largest excitation over kr that the brightest glow, all around, gives to any state (an upper bound)."""
+    """Return what no state's excitation over kr exceeds under the brightest glow from all around."""
     if not pilot.sampled:
         return None
     brightest = np.zeros(pilot.scene.transport.n)

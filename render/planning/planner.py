@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
@@ -27,6 +28,8 @@ from phoslab.render.planning.pilot import Pilot, look
 from phoslab.render.planning.reduced import check_fit, whole
 from phoslab.render.planning.step_terms import Stepped, steps
 from phoslab.render.scene import Scene
+
+Array = NDArray[np.float64]
 
 # Moments that are looked at, of those asked for: the first, the last and some between.
 MOMENTS = 6
@@ -64,7 +67,9 @@ class Planner:
             )
         self.slope = transport_terms.slope(self.pilot, request.bound)
         self.steps = steps(self.pilot)
-        self._total = sum(part.sum(axis=0) if part.ndim > 1 else part for part in self.pilot.means())
+        lamp, glow, bounces = self.pilot.means()
+        self._total: Array = lamp + glow + bounces.sum(axis=0)
+        self._known: dict[int, dict[int, tuple[state_terms.Groups, Array]]] = {}
 
     def plan(self) -> ModelPlan:
         """Return the cheapest plan that is predicted to hold the bound.
@@ -160,11 +165,10 @@ class Planner:
                 surfaces[drawable] = replace(full, states=options[fewest][0])
         return tuple(surfaces.items())
 
-    def _groupings(self, k: int) -> dict[int, tuple[state_terms.Groups, np.ndarray]]:
-        known = self.__dict__.setdefault("_known_groupings", {})
-        if k not in known:
-            known[k] = state_terms.fewer_states(self.pilot, self.pilot.sampled[k])
-        return known[k]  # type: ignore[no-any-return]
+    def _groupings(self, k: int) -> dict[int, tuple[state_terms.Groups, Array]]:
+        if k not in self._known:
+            self._known[k] = state_terms.fewer_states(self.pilot, self.pilot.sampled[k])
+        return self._known[k]
 
     def _sized(self, surfaces: dict[str, Surface], width_px: float) -> dict[str, Surface]:
         """Return surfaces with as many texels as texels of that width take; 0: as many as the scene gives them."""
@@ -182,10 +186,11 @@ class Planner:
             if drawable.phosphor is not None:
                 yield k, drawable.name
 
-    def _share(self, k: int) -> np.ndarray:
+    def _share(self, k: int) -> Array:
         """Return (T,) the share of the light in the picture that is a surface's glow, straight and reflected."""
         given = self.pilot.by_source[:, :, k].sum(axis=0)
-        return np.divide(given, self._total, out=np.zeros_like(given), where=self._total > 0)
+        share: Array = np.divide(given, self._total, out=np.zeros_like(given), where=self._total > 0)
+        return share
 
     def _glow_error(self, surfaces: dict[str, Surface]) -> float:
         shares = [self._share(k) for k, name in self._phosphors() if not surfaces[name].glows]
@@ -199,7 +204,7 @@ class Planner:
         ]
         return float(np.sum(errors, axis=0).max()) if errors else 0.0
 
-    def _change(self, k: int, groups: state_terms.Groups) -> np.ndarray:
+    def _change(self, k: int, groups: state_terms.Groups) -> Array:
         for known, error in self._groupings(k).values():
             if known == groups:
                 return error
@@ -229,7 +234,9 @@ class Planner:
             f"{len(glowing)} of {len(surfaces)} surfaces",
             scale * self._glow_error(surfaces),
             "estimate",
-            f"the light of {_names(dark)} is not seen beside the rest" if dark else "all that can glow is seen",
+            f"the light of {_names(dark)} is not seen beside the rest"
+            if dark
+            else "all that can glow is seen",
         )
         own = {d.name: d.phosphor.optics.n_states for d in request.scene.phosphors if d.phosphor is not None}
         kept, all_states = sum(len(surfaces[n].states) for n in glowing), sum(own[n] for n in glowing)
@@ -286,7 +293,7 @@ class Planner:
     def _transport_terms(self, choices: Choices) -> Iterator[Term]:
         request = self.request
         way = transport_terms.inexactness(self.pilot, request.bound, self.costs, dict(choices.gi))
-        lamp, glow, bounces = self.pilot.means()
+        bounces = self.pilot.means()[2]
         share = float((bounces.sum(axis=0) / np.maximum(self._total, 1e-300)).max())
         method = choices.gi["method"]
         said = f"glow that others reflect is {share:.1%} of the light"
@@ -313,7 +320,9 @@ class Planner:
             "yes" if drawn < n else "no",
             0.0,
             "bound",
-            f"{drawn} pictures serve {n} times" if drawn < n else "it would take as many pictures as there are times",
+            f"{drawn} pictures serve {n} times"
+            if drawn < n
+            else "it would take as many pictures as there are times",
         )
 
     def _out_of_reach(self, choices: Choices) -> PhoslabError:
@@ -323,7 +332,7 @@ class Planner:
         reached = sum(t.error for t in terms) / BUDGET
         missing = (
             ""
-            if transport_terms.find_spec("mitsuba") is not None
+            if transport_terms.traces_paths()
             else " The path tracer would reach further: pip install 'phoslab[reference]'."
         )
         return PhoslabError(

@@ -54,7 +54,9 @@ class Triangles:
         number = np.concatenate([np.full(len(p[0]), k) for k, p in enumerate(parts)])
         corners, normals, uv = (np.concatenate([p[k] for p in parts]) for k in range(3))
         order = _morton_order(corners.mean(axis=1))
-        self.drawable, self.corners, self.normals, self.uv = (x[order] for x in (number, corners, normals, uv))
+        self.drawable, self.corners, self.normals, self.uv = (
+            x[order] for x in (number, corners, normals, uv)
+        )
         self._a = self.corners[:, 0]
         self._e1, self._e2 = self.corners[:, 1] - self._a, self.corners[:, 2] - self._a
         cross = np.cross(self._e1, self._e2)
@@ -157,6 +159,8 @@ def _boxes(corners: Array) -> list[Array]:
     boxes = np.stack([low.reshape(-1, LEAF, 3).min(axis=1), high.reshape(-1, LEAF, 3).max(axis=1)], axis=1)
     levels = [boxes]
     while len(boxes) > 1:
-        boxes = np.stack([boxes[:, 0].reshape(-1, 2, 3).min(axis=1), boxes[:, 1].reshape(-1, 2, 3).max(axis=1)], 1)
+        boxes = np.stack(
+            [boxes[:, 0].reshape(-1, 2, 3).min(axis=1), boxes[:, 1].reshape(-1, 2, 3).max(axis=1)], 1
+        )
         levels.append(boxes)
     return levels[::-1]

@@ -111,7 +111,9 @@ def _drawable(
     if phosphor is None or not choices.surfaces[drawable.name].glows:
         return replace(drawable, reflectance=reflectance, phosphor=None)
     surface = choices.surfaces[drawable.name]
-    optics = in_bands(in_states(phosphor.optics, surface.states), scene.transport, target, scene.lights, lights)
+    optics = in_bands(
+        in_states(phosphor.optics, surface.states), scene.transport, target, scene.lights, lights
+    )
     return replace(
         drawable,
         reflectance=reflectance,

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.render.planning.charging import charged
-from phoslab.render.planning.pilot import Pilot, Sampled, per_light
+from phoslab.render.planning.charging import charged, per_light
+from phoslab.render.planning.pilot import Pilot, Sampled
 from phoslab.render.planning.reduced import merge_states
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def groupings(n: int) -> Iterator[Groups]:
 
 
 def change(pilot: Pilot, sampled: Sampled, groups: Groups) -> Array:
-    """Return (T,) the largest relative change of a point's XYZ, of those that give more than a millionth of the brightest."""
+    """Return (T,) the largest relative change of XYZ, of points that give more than a millionth of the brightest."""
     n = sampled.kr.shape[-1]
     if groups == tuple((i,) for i in range(n)):
         return np.zeros(len(pilot.moments))

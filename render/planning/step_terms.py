@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phoslab.render.planning.charging import charged, step_ends
-from phoslab.render.planning.pilot import Pilot, per_light
+from phoslab.render.planning.charging import charged, per_light, step_ends
+from phoslab.render.planning.pilot import Pilot
 
 POINTS = 8
 FEWEST_STEPS, MOST_STEPS = 8, 1 << 13

@@ -1,7 +1,7 @@
 """Texels from what the camera can see: a surface needs about as many as pixels show it, and never more than it has.
 
-With a texel `x` pixels wide, glow is off by `c x^p` of itself: where light ends at an edge, texels blur it. c and p are
-measured (`phoslab trade model`); a surface that no pixel shows is given `UNSEEN` texels, which light others well enough.
+With a texel `x` pixels wide, glow is off by `c x^p` of itself: where light ends at an edge, texels blur it. c and p
+are measured (`phoslab trade model`). A surface that no pixel shows has `UNSEEN` texels, which light others well enough.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from phoslab.render.frames import auto_exposure
 from phoslab.render.glow_methods import METHODS
 from phoslab.render.glow_transport import NONE
 from phoslab.render.planning.bounds import Bound
-from phoslab.render.planning.costs import Costs
+from phoslab.render.planning.costs import Costs, unlike
 from phoslab.render.planning.pilot import Pilot
 
 Array = NDArray[np.float64]
@@ -47,6 +47,11 @@ class Way:
         return self.left_out + self.inexact
 
 
+def traces_paths() -> bool:
+    """Whether the path tracer is installed."""
+    return find_spec("mitsuba") is not None
+
+
 def ways(pilot: Pilot, bound: Bound, costs: Costs) -> Iterator[Way]:
     """Yield every way that this machine can take."""
     yield Way({"method": NONE}, _error(pilot, bound, 0, 0.0)[0], 0.0)
@@ -57,7 +62,7 @@ def ways(pilot: Pilot, bound: Bound, costs: Costs) -> Iterator[Way]:
         if measured.method in METHODS:
             gi = {"method": measured.method, **measured.parameters}
             yield Way(gi, one_reflection, _error(pilot, bound, 1, measured.error)[1])
-    if find_spec("mitsuba") is not None:
+    if traces_paths():
         for samples in SAMPLES:
             noise = costs.path_noise / np.sqrt(samples)
             gi = {"method": REFERENCE, "samples": samples, "full": True}
@@ -74,13 +79,9 @@ def inexactness(pilot: Pilot, bound: Bound, costs: Costs, gi: dict[str, Any]) ->
         left_out, inexact = _error(pilot, bound, order, costs.path_noise / np.sqrt(gi.get("samples", 256)))
         return Way(gi, left_out, inexact)
     alike = [m for m in costs.gi if m.method == method]
-    nearest = min(alike, key=lambda m: _distance(m.parameters, gi), default=None)
+    nearest = min(alike, key=lambda m: unlike(m.parameters, gi), default=None)
     left_out, inexact = _error(pilot, bound, 1, 1.0 if nearest is None else nearest.error)
     return Way(gi, left_out, inexact)
-
-
-def _distance(a: dict[str, Any], b: dict[str, Any]) -> float:
-    return float(sum(abs(np.log2(float(v) / float(b.get(k, v)))) for k, v in a.items()))
 
 
 def _error(pilot: Pilot, bound: Bound, reflections: int | None, noise: float) -> tuple[float, float]:
@@ -109,9 +110,8 @@ def _error(pilot: Pilot, bound: Bound, reflections: int | None, noise: float) ->
 def _sureness(pilot: Pilot) -> Array:
     """Return (T,) by how much reflected light may be more than the pilot's sample of it."""
     reflected = pilot.means()[2].sum(axis=0)
-    return 1 + SIGMAS * np.divide(
-        pilot.spread(), reflected, out=np.zeros_like(reflected), where=reflected > 0
-    )
+    spread: Array = np.divide(pilot.spread(), reflected, out=np.zeros_like(reflected), where=reflected > 0)
+    return 1 + SIGMAS * spread
 
 
 def exposures(pilot: Pilot) -> list[float]:

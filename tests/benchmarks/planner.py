@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import itertools
+import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -38,8 +39,6 @@ def _drawn_scenes() -> Any:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    import sys
-
     sys.modules["planned_scenes"] = module
     spec.loader.exec_module(module)
     return module
@@ -62,6 +61,14 @@ def grid(planner: Planner) -> list[Choices]:
         for way in transport_terms.ways(planner.pilot, planner.request.bound, planner.costs)
         for (b, _), t in itertools.product(kept, (1, 4))
     ]
+
+
+def run(device: Device, planner: Planner, choices: Choices, truth: Any) -> tuple[float, float]:
+    """Return the true error in the bound's unit, and the time in s."""
+    request = planner.request
+    begin = time.perf_counter()
+    frames = render_choices(request.scene, choices, request.moments, request.size, device=device)
+    return request.bound.error(frames[0].xyz, truth), time.perf_counter() - begin
 
 
 def main() -> None:
@@ -97,12 +104,7 @@ def main() -> None:
             gi = {"method": "reference", "samples": samples, "full": True}
             truth = render_choices(scene, replace(whole(scene), gi=gi), [moment], size, device=device)[0].xyz
 
-            def run(choices: Choices, truth: Any = truth) -> tuple[float, float]:
-                begin = time.perf_counter()
-                picture = render_choices(scene, choices, [moment], size, device=device)[0].xyz
-                return bound.error(picture, truth), time.perf_counter() - begin
-
-            error, took = run(plan.choices)
+            error, took = run(device, planner, plan.choices, truth)
             held.append(error <= bound.value)
             shares.append(planning / took)
             says = "holds" if held[-1] else "BREAKS"
@@ -114,11 +116,13 @@ def main() -> None:
             )
             if len(held) <= args.sweep:
                 for choices in sorted(grid(planner), key=planner.predict_s):
-                    of_grid, least = run(choices)
+                    of_grid, least = run(device, planner, choices, truth)
                     if of_grid <= bound.value:
-                        took = min(took, run(plan.choices)[1])
-                        ratios.append(took / min(least, run(choices)[1]))
-                        print(f"    over the cheapest of the grid: {ratios[-1]:.2f}, {choices.gi}", flush=True)
+                        took = min(took, run(device, planner, plan.choices, truth)[1])
+                        ratios.append(took / min(least, run(device, planner, choices, truth)[1]))
+                        print(
+                            f"    over the cheapest of the grid: {ratios[-1]:.2f}, {choices.gi}", flush=True
+                        )
                         break
     print(f"the bound held in {sum(held)} of {len(held)}; passed over: {passed_over}")
     print(f"planning over rendering: median {median(shares):.2f}")

@@ -167,7 +167,9 @@ def _reductions(case: Case, plain: Choices) -> Iterator[tuple[str, str, Choices]
     largest = max((s.atlas_texels for s in plain.surfaces.values()), default=0)
     texels = 8
     while texels < largest:
-        surfaces = {k: replace(s, atlas_texels=min(texels, s.atlas_texels)) for k, s in plain.surfaces.items()}
+        surfaces = {
+            k: replace(s, atlas_texels=min(texels, s.atlas_texels)) for k, s in plain.surfaces.items()
+        }
         yield "texels", str(texels), replace(plain, surfaces=surfaces)
         texels *= 2
     best = {k: fewer_states(case.pilot, s) for k, s in case.pilot.sampled.items()}

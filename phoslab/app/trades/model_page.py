@@ -60,7 +60,11 @@ def sections(points: Sequence[Point], data: dict[str, Any]) -> list[Section]:
         Section(
             "What else can be left out?",
             ["Error against the same picture with everything on, no glow being reflected in either."],
-            [_table("reductions", rest, [p for s in scenes for p in front([q for q in rest if q.scene == s])])],
+            [
+                _table(
+                    "reductions", rest, [p for s in scenes for p in front([q for q in rest if q.scene == s])]
+                )
+            ],
         ),
         Section(
             "What the planner reads",
