@@ -16,8 +16,8 @@ from phoslab.errors import PhoslabError, printable
 from phoslab.fitting.decay import DecayData, fit_decay
 from phoslab.fitting.find_strip import follow_strip
 from phoslab.fitting.lvf import Calibration, positions
+from phoslab.fitting.measured_camera import UNMEASURED_REPEATABILITY
 from phoslab.fitting.parts import SessionPart, finished_parts
-from phoslab.fitting.reduction import REPEATABILITY
 from phoslab.fitting.region import find_sample
 from phoslab.fitting.selection import select
 from phoslab.fitting.settings import Settings
@@ -115,7 +115,7 @@ class _Lights:
             return 0.0, np.inf
         # ISO is the setting that dials miss by most.
         known = alike or ("iso", frame.iso) in self._settings.corrections
-        return total, float(np.hypot(noise, (REPEATABILITY if known else _UNCALIBRATED) * total))
+        return total, float(np.hypot(noise, (UNMEASURED_REPEATABILITY if known else _UNCALIBRATED) * total))
 
     def _dark(self, frame: Frame, region: NDArray[np.bool_]) -> tuple[Array, Array]:
         setting = frame.exposure_s, frame.iso
