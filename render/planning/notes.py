@@ -56,15 +56,17 @@ def _beyond(pilot: Pilot) -> list[str]:
 
 
 def _other_light(pilot: Pilot) -> list[str]:
-    """Say what the full model itself leaves out: glow that charges others, and lamp light that walls reflect."""
-    said = ["lamp light that walls reflect, and charge others with, is in no model of phoslab yet"]
-    if not pilot.scene.lights:
-        said = []
+    """Say what no plan models, nor the picture that its bound is held against: `render` has options for it."""
+    said = []
+    if pilot.scene.lights:
+        said = [
+            "lamp light that walls reflect, and charge others with, is in no plan (render --lamp-bounces has it)"
+        ]
     share = _recharging(pilot)
     if share is not None and share > 1e-3:
         said.append(
-            f"glow that charges other phosphors is in no model of phoslab yet; under full glow from all sides it would "
-            f"give them {share:.1g} of what they lose"
+            f"glow that charges other phosphors is in no plan (render --glow-excites has it); under full glow from all "
+            f"sides it would give them {share:.1g} of what they lose"
         )
     return said
 
