@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 
@@ -29,12 +30,14 @@ class Frames:
 
     Args:
         scene: where they come from, for the files' metadata: the scene's folder and file.
+        about: more for the files' metadata, by name.
     """
 
     frames: tuple[Frame, ...]
     scene: str
     solver: str
     exposures: tuple[Exposure, ...]
+    about: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -82,10 +85,15 @@ class Frames:
         for frame in each:
             path = out if len(each) == 1 else out.with_name(f"{out.stem}-{frame.label}{out.suffix}")
             if out.suffix.lower() == ".exr":
-                images.write_exr(path, frame, scene=self.scene, solver=self.solver)
+                images.write_exr(path, frame, scene=self.scene, solver=self.solver, about=self.about)
             else:
                 images.write_png(
-                    path, frame, scene=self.scene, solver=self.solver, exposure=self.exposure_of(frame)
+                    path,
+                    frame,
+                    scene=self.scene,
+                    solver=self.solver,
+                    exposure=self.exposure_of(frame),
+                    about=self.about,
                 )
             written.append(path)
             for name, view in frame.debug.items():

@@ -7,6 +7,7 @@ band, named by its centre (`S0.418,75nm`), beside X, Y and Z.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,15 @@ from phoslab.render.frame import Frame
 from phoslab.render.passes import Picture
 
 
-def write_png(path: Path, frame: Frame, *, scene: str, solver: str, exposure: float) -> None:
+def write_png(
+    path: Path,
+    frame: Frame,
+    *,
+    scene: str,
+    solver: str,
+    exposure: float,
+    about: Mapping[str, str] | None = None,
+) -> None:
     """Write the frame as a display shows it, 8-bit sRGB, with time, scene, solver and warnings as text."""
     from PIL.PngImagePlugin import PngInfo
 
@@ -32,6 +41,7 @@ def write_png(path: Path, frame: Frame, *, scene: str, solver: str, exposure: fl
         "phoslab:solver": solver,
         "phoslab:exposure": repr(exposure),
         "phoslab:warnings": "\n".join(frame.warnings),
+        **(about or {}),
     }.items():
         text.add_itxt(key, value)
     _write_rgb(path, display_srgb(frame.xyz, exposure), text)
@@ -42,7 +52,9 @@ def write_view(path: Path, view: Picture) -> None:
     _write_rgb(path, view, None)
 
 
-def write_exr(path: Path, frame: Frame, *, scene: str, solver: str) -> None:
+def write_exr(
+    path: Path, frame: Frame, *, scene: str, solver: str, about: Mapping[str, str] | None = None
+) -> None:
     """Write the frame's band radiance and XYZ as float32, linear, in the scene's units."""
     names = band_channels(frame.bands)
     channels = {name: frame.radiance[..., k] for k, name in enumerate(names)}
@@ -56,6 +68,7 @@ def write_exr(path: Path, frame: Frame, *, scene: str, solver: str) -> None:
         "phoslab:solver": solver,
         "phoslab:band_edges_nm": json.dumps(frame.bands.edges_nm.tolist()),
         "phoslab:warnings": "\n".join(frame.warnings),
+        **(about or {}),
     }
     write_channels(path, channels, attributes)
 

@@ -27,6 +27,7 @@ COMMANDS = (
     "classify",
     "presets",
     "export",
+    "plan",
     "render",
     "trade",
 )

@@ -177,6 +177,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="also write what these passes made, beside OUT",
     )
+    parser.add_argument(
+        "--max-error",
+        metavar="BOUND",
+        help="model just enough: 2%%, 1dE or 0.05flip; see `phoslab plan`, which says what that leaves out",
+    )
+    parser.add_argument("--plan", metavar="FILE", type=Path, help="render by a plan that phoslab plan saved")
+    parser.add_argument(
+        "--trade",
+        metavar="FILE",
+        type=Path,
+        help="what --max-error knows of this machine (phoslab trade model)",
+    )
     parser.add_argument("--json", action="store_true", help="print files and warnings as JSON")
 
 
@@ -189,6 +201,8 @@ def run(args: argparse.Namespace) -> int:
     if args.scene.name.lower().endswith(BASIS):
         return _say(args, *_from_basis(args))
     scene = load_scene(args.scene)
+    if args.max_error is not None or args.plan is not None:
+        return _say(args, *_by_plan(args, scene))
     transport = _transport(args)
     if args.out.suffix.lower() == FILM:
         return _say(args, [args.out], _film(args, scene, transport))
@@ -212,6 +226,46 @@ def run(args: argparse.Namespace) -> int:
             progress=progress,
         )
     return _say(args, frames.write(args.out), frames.warnings)
+
+
+def _by_plan(args: argparse.Namespace, scene: Scene) -> tuple[list[Path], Sequence[str]]:
+    """Render as a plan says, one that is made now or one that was saved."""
+    from phoslab.model_plan import read_plan
+    from phoslab.render.planning import check_plan, make_plan, render_plan
+
+    _refuse_what_a_plan_decides(args)
+    warnings = []
+    if args.plan is not None:
+        plan, wrong = check_plan(scene, read_plan(args.plan), trade=args.trade)
+        warnings = [wrong] if wrong else []
+    else:
+        plan = make_plan(scene, args.max_error, args.at, size=args.size, trade=args.trade)
+    with progress_bar("rendering") as progress:
+        frames = render_plan(scene, plan, progress=progress, warnings=warnings)
+    return frames.write(args.out), frames.warnings
+
+
+def _refuse_what_a_plan_decides(args: argparse.Namespace) -> None:
+    """Refuse options that a plan answers itself: to take neither silently is better than to take one."""
+    decided = {
+        "--max-error": args.plan is not None and args.max_error is not None,
+        "--at": args.plan is not None and args.at is not None,
+        "--size": args.plan is not None and args.size is not None,
+        "--solver": args.solver is not None,
+        "--step": args.step is not None,
+        "--state-format": args.state_format != "f32",
+        "--gi": args.gi != "none",
+        "--full-transport": args.full_transport,
+        "--debug": bool(args.debug),
+        BASIS: args.out.name.lower().endswith(BASIS),
+    }
+    for option, given in decided.items():
+        if given:
+            raise PhoslabError(
+                "is decided by the plan, or cannot be had with one",
+                field=option,
+                remedy="Leave it out, or render without --max-error and --plan.",
+            )
 
 
 def _transport(args: argparse.Namespace) -> TransportParameters:

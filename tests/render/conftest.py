@@ -6,6 +6,7 @@ import base64
 import gc
 import importlib.util
 import json
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -221,9 +222,20 @@ def refuses() -> Callable[..., str]:
 @pytest.fixture(scope="session")
 def rooms() -> ModuleType:
     """The module `glow_rooms.py` beside this file: scenes with a closed form for what glow lights."""
-    spec = importlib.util.spec_from_file_location("glow_rooms", Path(__file__).with_name("glow_rooms.py"))
+    return _beside("glow_rooms")
+
+
+@pytest.fixture(scope="session")
+def planned_scenes() -> ModuleType:
+    """The module `planned_scenes.py` beside this file: scenes drawn from seeds."""
+    return _beside("planned_scenes")
+
+
+def _beside(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where dataclasses look for their module
     spec.loader.exec_module(module)
     return module

@@ -1,0 +1,139 @@
+"""Just enough model: say how wrong a picture may be, and get the cheapest one that is not worse.
+
+>>> from phoslab.render.planning import make_plan, render_plan     # doctest: +SKIP
+>>> plan = make_plan("scenes/cornell", "2%", ["off+1s"])           # doctest: +SKIP
+>>> render_plan("scenes/cornell", plan).write("glow.png")          # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from os import PathLike
+
+from phoslab.errors import PhoslabError
+from phoslab.model_plan import Choices, ModelPlan
+from phoslab.render import Frames, render
+from phoslab.render.device import Device
+from phoslab.render.planning.bounds import parse_bound
+from phoslab.render.planning.costs import load_costs
+from phoslab.render.planning.planner import Planner, Request
+from phoslab.render.planning.reduced import apply, transport_parameters
+from phoslab.render.scene import Scene, load_scene
+from phoslab.render.schedule import check_time
+
+Place = Scene | str | PathLike[str]
+
+
+def make_plan(
+    scene: Place,
+    bound: str,
+    times: Sequence[str | float] | None = None,
+    *,
+    size: tuple[int, int] | None = None,
+    trade: str | PathLike[str] | None = None,
+) -> ModelPlan:
+    """Return the cheapest plan that is predicted to hold a bound.
+
+    Args:
+        bound: `2%`, `1dE` or `0.05flip`; see `bounds.py`.
+        times, size: as for `phoslab.render.render`.
+        trade: a trade.json of `phoslab trade model`; None: the one that ships.
+
+    Raises:
+        PhoslabError: no plan holds the bound, or the scene, a time or the bound is wrong.
+    """
+    return _planner(_scene(scene), bound, times, size, trade).plan()
+
+
+def check_plan(
+    scene: Place, plan: ModelPlan, *, trade: str | PathLike[str] | None = None
+) -> tuple[ModelPlan, str | None]:
+    """Return a plan with its errors and cost predicted anew, and what is wrong with it, if anything is.
+
+    Raises:
+        PhoslabError: the plan does not fit the scene.
+    """
+    again = _planner(_scene(scene), plan.bound, plan.times, plan.size, trade).explain(plan.choices)
+    wrong = []
+    if plan.scene_sha256 and plan.scene_sha256 != again.scene_sha256:
+        wrong.append("the scene has changed since it was planned")
+    bound = parse_bound(plan.bound)
+    if again.predicted_error > bound.value:
+        worst = max(again.terms, key=lambda term: term.error)
+        wrong.append(
+            f"the plan breaks its bound of {bound}: {bound.say(again.predicted_error)} is predicted, "
+            f"{bound.say(worst.error)} of it by {worst.name} ({worst.choice})"
+        )
+    return again, "; ".join(wrong) or None
+
+
+def render_plan(
+    scene: Place,
+    plan: ModelPlan,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    device: Device | None = None,
+    warnings: Sequence[str] = (),
+) -> Frames:
+    """Render by a plan; the bound and what is predicted stand in the metadata of every file.
+
+    Args:
+        warnings: more to say with every picture.
+    """
+    frames = render_choices(
+        _scene(scene), plan.choices, plan.times, plan.size, progress=progress, device=device
+    )
+    bound = parse_bound(plan.bound)
+    about = {
+        "phoslab:max_error": plan.bound,
+        "phoslab:predicted_error": bound.say(plan.predicted_error),
+        "phoslab:model": "; ".join(f"{term.name}: {term.choice}" for term in plan.terms),
+    }
+    said = tuple(replace(f, warnings=(*f.warnings, *warnings)) for f in frames.frames)
+    return replace(frames, frames=said, about=about)
+
+
+def render_choices(
+    scene: Scene,
+    choices: Choices,
+    times: Sequence[str | float] | None,
+    size: tuple[int, int] | None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    device: Device | None = None,
+) -> Frames:
+    """Render a scene as some choices model it."""
+    return render(
+        apply(scene, choices),
+        times,
+        solver=choices.solver,
+        step_s=choices.step_s,
+        state_format=choices.state_format,
+        transport=transport_parameters(choices),
+        size=size,
+        progress=progress,
+        device=device,
+    )
+
+
+def _planner(
+    scene: Scene,
+    bound: str,
+    times: Sequence[str | float] | None,
+    size: tuple[int, int] | None,
+    trade: str | PathLike[str] | None,
+) -> Planner:
+    wanted = scene.times if times is None else times
+    if not wanted:
+        raise PhoslabError("is empty", field="the list of times", remedy="Give one time or more.")
+    labels = tuple(t if isinstance(t, str) else f"{t:.12g}" for t in wanted)
+    moments = tuple(
+        scene.schedule.parse_time(t) if isinstance(t, str) else check_time(float(t), f"{t:g}") for t in wanted
+    )
+    request = Request(scene, size or scene.size, labels, moments, parse_bound(bound))
+    return Planner(request, load_costs(trade))
+
+
+def _scene(scene: Place) -> Scene:
+    return scene if isinstance(scene, Scene) else load_scene(scene)

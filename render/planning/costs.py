@@ -1,0 +1,115 @@
+"""What a picture costs, and what its ways to transport glow err by: as `phoslab trade model` measured it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from phoslab import trades
+from phoslab.model_plan import Choices
+from phoslab.render.fade_basis import faded_stretches, fading_rates
+from phoslab.render.glow_transport import NONE
+from phoslab.render.optics import layer_count
+from phoslab.render.scene import Scene
+
+
+@dataclass(frozen=True)
+class MeasuredWay:
+    """A way to reflect glow once: mean relative error of the reflected light, and s a pixel."""
+
+    method: str
+    parameters: dict[str, Any]
+    error: float
+    s_per_pixel: float
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What was measured on a machine.
+
+    Args:
+        texel_error, texel_power: glow is off by texel_error x^texel_power with texels of x pixels.
+        gi: ways that reflect glow once.
+        path_noise: mean relative error of reflected glow with one path a pixel; it falls with the root of their number.
+        costs_s: s for each of `features`.
+    """
+
+    texel_error: float
+    texel_power: float
+    gi: tuple[MeasuredWay, ...]
+    path_noise: float
+    costs_s: dict[str, float]
+
+    def predict_s(
+        self, scene: Scene, choices: Choices, size: tuple[int, int], moments: list[float], steps: int
+    ) -> float:
+        """Return the predicted time of all pictures in s."""
+        pixels = size[0] * size[1]
+        total = float(
+            sum(self.costs_s[k] * v for k, v in features(scene, choices, size, moments, steps).items())
+        )
+        alike = [m for m in self.gi if m.method == choices.gi["method"]]
+        if alike:
+            nearest = min(alike, key=lambda m: unlike(m.parameters, choices.gi))
+            total += nearest.s_per_pixel * pixels
+        return total
+
+
+def unlike(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
+    """Return how far apart the parameters `a` of a way are from those of another: in doublings."""
+    return float(sum(abs(np.log2(float(v) / float(b.get(k, v)))) for k, v in a.items()))
+
+
+def load_costs(path: str | PathLike[str] | None = None) -> Costs:
+    """Read what was measured: from a trade.json of kind "model", or from that which ships.
+
+    Raises:
+        PhoslabError: it cannot be read, or is of another kind.
+    """
+    data = trades.load("model", path)
+    return Costs(
+        texel_error=data["texels"]["error"],
+        texel_power=data["texels"]["power"],
+        gi=tuple(MeasuredWay(**way) for way in data["gi"]),
+        path_noise=data["path_noise"],
+        costs_s=dict(data["costs_s"]),
+    )
+
+
+FEATURES = ("start", "texel_layer", "sample_layer", "texel_step", "path_picture", "path")
+
+
+def features(
+    scene: Scene, choices: Choices, size: tuple[int, int], moments: list[float], steps: int
+) -> dict[str, float]:
+    """Return how often each thing that takes time is done.
+
+    start: once. texel_layer: a texel in four bands. sample_layer: a sample of a picture in four bands. texel_step: a
+    texel and a step. path_picture: three bands of a picture for the path tracer. path: one path of it.
+    """
+    layers = layer_count(len(choices.bands_nm) - 1)
+    texels = sum(s.atlas_texels**2 for s in choices.surfaces.values() if s.glows)
+    pixels = size[0] * size[1]
+    traced = 0
+    if choices.gi["method"] == "reference":
+        traced = pictures(scene, moments) * -(-(len(choices.bands_nm) - 1) // 3)
+    drawn = len(moments) if choices.gi["method"] == NONE else pictures(scene, moments)
+    return {
+        "start": 1.0,
+        "texel_layer": float(texels * layers),
+        "sample_layer": float(pixels * scene.supersampling**2 * layers * drawn),
+        "texel_step": float(texels * steps),
+        "path_picture": float(traced),
+        "path": float(traced * pixels * choices.gi.get("samples", 256)),
+    }
+
+
+def pictures(scene: Scene, moments: list[float]) -> int:
+    """Return how many pictures are drawn where glow is transported: a fade basis serves a stretch of darkness."""
+    stretches = faded_stretches(scene, moments)
+    served = sum(len(s) for s in stretches)
+    return len(moments) - served + sum(len(fading_rates(scene, moments[s[0]])) for s in stretches)

@@ -1,0 +1,252 @@
+"""A look at a scene before it is rendered: what lamps, glow and each further reflection bring to a few hundred pixels.
+
+Rays in NumPy, no device: one a pixel of a small picture, a few random walks from what it meets. A walk gathers the glow
+of every surface that it comes to, so that what n reflections bring is known apart for every n. All of it is a sample:
+`spread` says how far its means may be off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.colorimetry import xyz_matrix
+from phoslab.render.planning.charging import Drive, charged, per_light
+from phoslab.render.planning.rays import Triangles
+from phoslab.render.planning.surfaces import (
+    LIFT,
+    Points,
+    camera_rays,
+    cosine_directions,
+    light_factors,
+    looked_up,
+    meet,
+    reflectance_at,
+)
+from phoslab.render.scene import Phosphor, Scene
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+PIXELS, WALKS, REFLECTIONS = 576, 4, 24
+
+# After so many reflections a walk goes on by chance, and counts for more if it does.
+SURE_REFLECTIONS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """The states of the points of one drawable that were met.
+
+    Args:
+        drive: what charges them.
+        kr, ke_width, emission: (n, n_c), (n, n_c, K), (n, n_c, K), as `Optics`.
+        glow: (T, n, 3) their XYZ.
+    """
+
+    phosphor: Phosphor
+    drive: Drive
+    kr: Array
+    ke_width: Array
+    emission: Array
+    glow: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Pilot:
+    """What was seen, at T moments in P pixels.
+
+    Args:
+        moments: (T,) in s, ascending.
+        shape: (h, w) of the small picture.
+        lamp: (T, P, K) lamp light, reflected once.
+        glow: (T, P, K) glow that comes straight.
+        bounces: (n, T, P, K) glow after 1 to n reflections.
+        by_source: (n + 1, T, D) mean X + Y + Z that each drawable's glow brings, straight and by n reflections.
+        sampled: by the number of the drawable.
+        visible: (D,) share of the pixels in which each drawable is seen.
+        side_px: (D,) side of the square that each surface would fill on the picture, laid out flat at the distance
+            from which it is seen.
+    """
+
+    scene: Scene
+    moments: Array
+    shape: tuple[int, int]
+    lamp: Array
+    glow: Array
+    bounces: Array
+    by_source: Array
+    sampled: dict[int, Sampled]
+    visible: Array
+    side_px: Array
+
+    @property
+    def to_xyz(self) -> Array:
+        """(K, 3)."""
+        return xyz_matrix(self.scene.transport)
+
+    @property
+    def pictures(self) -> Array:
+        """(T, h, w, 3) XYZ with all reflections."""
+        return self.as_picture(self.lamp + self.glow + self.bounces.sum(axis=0))
+
+    def as_picture(self, radiance: Array) -> Array:
+        """Return (T, h, w, 3) XYZ of (T, P, K)."""
+        return (radiance @ self.to_xyz).reshape(len(self.moments), *self.shape, 3)
+
+    def means(self) -> tuple[Array, Array, Array]:
+        """Return (T,), (T,), (n, T): the mean over pixels of X + Y + Z, of lamp, straight glow, each reflection."""
+        lamp, glow, bounces = (
+            (part @ self.to_xyz).sum(axis=-1).mean(axis=-1) for part in (self.lamp, self.glow, self.bounces)
+        )
+        return lamp, glow, bounces
+
+    def spread(self) -> Array:
+        """Return (T,) the standard error of the mean of all reflected glow: pixels are independent samples of it."""
+        reflected = (self.bounces.sum(axis=0) @ self.to_xyz).sum(axis=-1)
+        error: Array = reflected.std(axis=-1) / np.sqrt(reflected.shape[-1])
+        return error
+
+
+@dataclass(frozen=True, eq=False)
+class _Arrivals:
+    """Points whose glow reaches a pixel: which, by what share (n, K), and after how many reflections."""
+
+    points: Points
+    pixel: Index
+    weight: Array
+    order: Index
+
+
+def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: int = 0) -> Pilot:
+    """Send rays into the scene; `moments` ascend."""
+    rng = np.random.default_rng(seed)
+    triangles = Triangles(scene.drawables)
+    at = np.asarray(moments, dtype=np.float64)
+    shape = _shape(size)
+    n_pixels, K, D = shape[0] * shape[1], scene.transport.n, len(scene.drawables)
+    eye, direction = camera_rays(scene, shape, size, rng)
+    seen, pixel = meet(triangles, np.broadcast_to(eye, direction.shape), direction)
+    lamp = np.zeros((len(at), n_pixels, K))
+    lamp[:, pixel] = _lamp_light(scene, triangles, seen, at)
+
+    arrivals = _walk(scene, triangles, seen, pixel, rng)
+    by_order = np.zeros((REFLECTIONS + 1, len(at), n_pixels, K))
+    by_source = np.zeros((REFLECTIONS + 1, len(at), D))
+    sampled = {}
+    to_xyz = xyz_matrix(scene.transport)
+    for k, drawable in enumerate(scene.drawables):
+        own = np.flatnonzero(arrivals.points.drawable == k)
+        if drawable.phosphor is None or not own.size:
+            continue
+        sampled[k], L = _glow(scene, drawable.phosphor, triangles, arrivals.points[own], at)
+        arriving = L * arrivals.weight[own]
+        brought = (arriving @ to_xyz).sum(axis=-1) / n_pixels
+        order = arrivals.order[own]
+        for n in np.unique(order):
+            np.add.at(
+                by_order[n].swapaxes(0, 1),
+                arrivals.pixel[own][order == n],
+                arriving[:, order == n].swapaxes(0, 1),
+            )
+            by_source[n, :, k] = brought[:, order == n].sum(axis=1)
+    return Pilot(
+        scene=scene,
+        moments=at,
+        shape=shape,
+        lamp=lamp,
+        glow=by_order[0],
+        bounces=by_order[1:],
+        by_source=by_source,
+        sampled=sampled,
+        visible=np.bincount(seen.drawable, minlength=D) / n_pixels,
+        side_px=_sides(scene, triangles, seen, pixel, eye, direction, size),
+    )
+
+
+def _lamp_light(scene: Scene, triangles: Triangles, seen: Points, at: Array) -> Array:
+    """Return (T, n, K) what points reflect of the lamps."""
+    factors = light_factors(scene.lights, triangles, seen, seen.towards)
+    spectra = np.array([light.irradiance_at_1m for light in scene.lights]).reshape(-1, scene.transport.n)
+    on = np.array([[scene.schedule.factors(float(t))[x.place.name] for x in scene.lights] for t in at])
+    E = np.einsum("tl,nl,lk->tnk", on.reshape(len(at), -1), factors, spectra)
+    reflected: Array = reflectance_at(scene, seen) * E / np.pi
+    return reflected
+
+
+def _walk(
+    scene: Scene, triangles: Triangles, seen: Points, pixel: Index, rng: np.random.Generator
+) -> _Arrivals:
+    """Walk on from what the pixels see, and return all that glows on the way; what is seen itself comes first."""
+    K = scene.transport.n
+    glowing = np.array([d.phosphor is not None for d in scene.drawables])
+    first = glowing[seen.drawable]
+    parts = [
+        _Arrivals(
+            seen[first], pixel[first], np.ones((int(first.sum()), K)), np.zeros(int(first.sum()), np.int64)
+        )
+    ]
+    start = np.repeat(np.arange(len(pixel)), WALKS)
+    here, mine, weight = seen[start], pixel[start], reflectance_at(scene, seen)[start] / WALKS
+    for order in range(1, REFLECTIONS + 1):
+        if not glowing.any() or not len(mine):
+            break
+        origin = here.place + here.towards * LIFT * triangles.size_m
+        here, which = meet(triangles, origin, cosine_directions(here.towards, rng))
+        mine, weight = mine[which], weight[which]
+        sends = here.outside & glowing[here.drawable]
+        parts.append(_Arrivals(here[sends], mine[sends], weight[sends], np.full(int(sends.sum()), order)))
+        rho = reflectance_at(scene, here)
+        chance = np.ones(len(rho)) if order < SURE_REFLECTIONS else rho.max(axis=1, initial=0.0)
+        goes_on = rng.random(len(rho)) < chance
+        here, mine = here[goes_on], mine[goes_on]
+        weight = weight[goes_on] * rho[goes_on] / chance[goes_on, None]
+    return _Arrivals(
+        Points.together([p.points for p in parts]),
+        *(np.concatenate([getattr(p, f) for p in parts]) for f in ("pixel", "weight", "order")),
+    )
+
+
+def _glow(
+    scene: Scene, phosphor: Phosphor, triangles: Triangles, points: Points, at: Array
+) -> tuple[Sampled, Array]:
+    """Return the states of points of one phosphor, and (T, n, K) what they give; they take light on their outside."""
+    names = tuple(light.place.name for light in scene.lights)
+    drive = Drive(light_factors(scene.lights, triangles, points, points.normal), names)
+    optics = phosphor.optics
+    kr, ke, emission = (looked_up(f, points.uv) for f in (optics.kr_per_s, optics.ke_width, optics.emission))
+    r = charged(scene.schedule, phosphor.initial, drive, kr, per_light(ke, scene), at)
+    L: Array = np.einsum("tnc,nc,nck->tnk", r, kr, emission)
+    return Sampled(phosphor, drive, kr, ke, emission, L @ xyz_matrix(scene.transport)), L
+
+
+def _sides(
+    scene: Scene,
+    triangles: Triangles,
+    seen: Points,
+    pixel: Index,
+    eye: Array,
+    direction: Array,
+    size: tuple[int, int],
+) -> Array:
+    """Return (D,) the root of each surface's area over that which a pixel sees of it; 0 where it is not seen."""
+    D = len(scene.drawables)
+    area = np.bincount(triangles.drawable, triangles.area, minlength=D)
+    angle = 2 * np.tan(scene.camera.yfov_rad / 2) / size[1]
+    distance = np.linalg.norm(seen.place - eye, axis=1)
+    cosine = np.abs(np.einsum("ij,ij->i", seen.towards, direction[pixel]))
+    # The finest that is seen counts: a pixel there sees the least.
+    side = np.zeros(D)
+    for k in np.unique(seen.drawable):
+        own = seen.drawable == k
+        footprint = np.quantile((distance[own] * angle) ** 2 / np.maximum(cosine[own], 0.1), 0.25)
+        side[k] = np.sqrt(area[k] / footprint)
+    return side
+
+
+def _shape(size: tuple[int, int]) -> tuple[int, int]:
+    scale = min(1.0, float(np.sqrt(PIXELS / (size[0] * size[1]))))
+    return max(1, round(size[1] * scale)), max(1, round(size[0] * scale))

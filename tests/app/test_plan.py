@@ -1,0 +1,93 @@
+"""`phoslab plan` and `phoslab render --max-error`: the table, the file, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import pytest
+
+from phoslab.app.cli import main
+from phoslab.model_plan import read_plan
+
+SMALL = ("--at", "off+1s", "--size", "32x24")
+
+
+@pytest.fixture(scope="module")
+def fading():
+    with as_file(files("phoslab.sample_data") / "scenes" / "fading") as folder:
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def plan(fading, tmp_path_factory):
+    """A plan of coarse picture, as a file."""
+    path = tmp_path_factory.mktemp("plan") / "plan.json"
+    assert main(["plan", str(fading), "--max-error", "30%", *SMALL, "-o", str(path)]) == 0
+    return path
+
+
+def refused(capsys, *arguments: str) -> str:
+    assert main(list(arguments)) == 1
+    return capsys.readouterr().err
+
+
+def test_the_shares_of_the_decisions_sum_to_what_is_predicted_within_the_bound(plan):
+    planned = read_plan(plan)
+    assert 0 < planned.predicted_error <= 30
+    assert planned.predicted_error == pytest.approx(sum(term.error for term in planned.terms))
+    assert {term.name for term in planned.terms} >= {"states", "bands", "solver", "texels", "gi"}
+    assert all(term.why for term in planned.terms)
+
+
+def test_a_coarser_bound_never_costs_more(fading, capsys):
+    cost = []
+    for bound in ("60%", "30%", "10%"):
+        assert main(["plan", str(fading), "--max-error", bound, *SMALL, "--json"]) == 0
+        cost.append(json.loads(capsys.readouterr().out)["predicted_s"])
+    assert cost == sorted(cost)
+
+
+def test_a_saved_plan_is_followed_and_the_bound_stands_in_the_picture(plan, fading, tmp_path):
+    from PIL import Image
+
+    assert main(["render", str(fading), "--plan", str(plan), "-o", str(tmp_path / "glow.png")]) == 0
+    with Image.open(tmp_path / "glow.png") as picture:
+        assert picture.size == (32, 24)
+        assert picture.text["phoslab:max_error"] == "30%"
+        assert "states" in picture.text["phoslab:model"]
+
+
+def test_an_edited_plan_that_breaks_its_bound_says_which_decision_breaks_it(plan, fading, tmp_path, capsys):
+    data = json.loads(plan.read_text())
+    data["bound"] = "0.0001%"
+    edited = tmp_path / "edited.json"
+    edited.write_text(json.dumps(data))
+    said = refused(capsys, "plan", str(fading), "--plan", str(edited))
+    assert "breaks its bound" in said
+    assert "edited.json" in said
+
+
+def test_a_plan_of_another_scene_is_refused(plan, fading, capsys):
+    other = fading.parent / "cornell"
+    assert "plan" in refused(capsys, "plan", str(other), "--plan", str(plan))
+
+
+@pytest.mark.parametrize("bound", ["0%", "-2%", "500%", "2", "two%", "nan%", "3flip"])
+def test_an_absurd_bound_is_refused_with_what_it_could_be(fading, capsys, bound):
+    said = refused(capsys, "plan", str(fading), f"--max-error={bound}")
+    assert "dE" in said or "flip" in said or "%" in said
+
+
+def test_a_bound_that_no_plan_reaches_names_the_obstacle_and_the_best_that_can_be_had(fading, capsys):
+    said = refused(capsys, "plan", str(fading), "--max-error", "0.000001%", *SMALL)
+    assert "%" in said
+    assert "gi" in said or "texels" in said or "state format" in said
+
+
+def test_what_a_plan_decides_cannot_be_given_beside_it(plan, fading, tmp_path, capsys):
+    out = str(tmp_path / "x.png")
+    said = refused(capsys, "render", str(fading), "--max-error", "30%", "--solver", "euler", "-o", out)
+    assert "--solver" in said
+    assert not Path(out).exists()
