@@ -64,7 +64,7 @@ def test_it_is_whole_and_says_that_it_is_simulated(session: Session) -> None:
 
 
 def test_the_sample_data_stays_small() -> None:
-    assert sum(p.stat().st_size for p in SESSIONS.rglob("*") if p.is_file()) < 6e6
+    assert sum(p.stat().st_size for p in SESSIONS.rglob("*") if p.is_file()) < 12e6
 
 
 def test_frames_follow_the_lamp_as_the_plan_says(session: Session) -> None:
