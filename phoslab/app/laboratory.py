@@ -152,10 +152,11 @@ def check_camera(lab: Laboratory, ladder: Ladder) -> None:
         ladder.exposures_s[len(ladder.exposures_s) // 2], ladder.isos[-1], ladder.f_numbers[0]
     )
     lab.camera.set(exposure).wait(CAMERA_S)
+    exposed = lab.camera.trigger()
     if getattr(lab.camera, "by_hand", False):
         text = f"Release the shutter of the {lab.camera.name} once, for a trial with the lamp off"
         print(f"  -> {text} ({exposure.exposure_s:g} s, ISO {exposure.iso:g}).", file=sys.stderr, flush=True)
-    lab.camera.trigger().wait(exposure.exposure_s + CAMERA_S)
+    exposed.wait(exposure.exposure_s + CAMERA_S)
     with tempfile.TemporaryDirectory(prefix="phoslab-") as folder:
         path = Path(folder) / f"trial.{lab.camera.suffix}"
         lab.camera.save(path)

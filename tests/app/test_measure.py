@@ -535,7 +535,9 @@ def test_an_excitation_series_goes_on_at_the_next_time_after_a_rest_in_the_dark(
     process.kill()
     process.communicate(timeout=60)
     stop_bench(folder)
-    assert cli.main(["resume", str(folder)]) == 0
+    again = in_a_process("resume", folder)
+    said, _ = again.communicate(timeout=120)
+    assert again.returncode == 0, said
     session = Session.open(folder)
     (resumed,) = (e for e in session.events if e.event == "resume")
     assert any("has gone meanwhile" in str(e.fields.get("text")) for e in session.events)

@@ -150,6 +150,7 @@ def test_a_camera_that_a_hand_releases_is_tried_before_the_lamp_is_on(
     ) as process:
         assert process.stderr is not None
         asked = process.stderr.readline()
+        time.sleep(0.3)  # no hand is faster
         (folder / "IMG_0001.CR2").write_bytes(b"\xff\xd8\xff\xe1" + bytes(1000))
         told = process.stderr.read()
     assert "Release the shutter" in asked, asked + told
