@@ -16,9 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from phoslab.errors import PhoslabError
 from phoslab.render.device import Device, set_uniforms
-from phoslab.render.phosphor_step import GROUP, PhosphorStep
+from phoslab.render.phosphor_step import PhosphorStep
 from phoslab.render.solvers import check_step, find_solver
-from phoslab.render.state_formats import StateTexture, bind_states, find_format, state_defines
+from phoslab.render.state_formats import (
+    StateTexture,
+    bind_states,
+    find_format,
+    state_defines,
+    texels_of_group,
+)
 from phoslab.solvers import Drive
 
 Array = NDArray[np.float64]
@@ -107,7 +113,7 @@ class BareState:
         bind_states(shader, self._now, self._next)
         self._a.use(2)
         set_uniforms(shader, excitation=2)
-        self._device.dispatch(shader, self.size, group=GROUP)
+        self._device.dispatch(shader, self.size, group=texels_of_group(self.n_states))
 
     def read(self) -> Array:
         """Return (h, w, n_c) the concentrations."""

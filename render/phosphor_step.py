@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 from phoslab.render.device import Device, set_uniforms
 from phoslab.render.passes import Picture
 from phoslab.render.solvers import find_solver, share_in_dark
-from phoslab.render.state_formats import StateTexture, bind_states, state_defines
+from phoslab.render.state_formats import StateTexture, bind_states, state_defines, texels_of_group
 from phoslab.solvers import EXPLICIT_LIMIT
 
 Array = NDArray[np.float64]
-
-GROUP = (64, 1)  # the local size in the shaders
 
 # A kr dt that is not 0 and decays nothing, so that a / (a + kr) is defined without a test on every texel.
 SLOWEST = 1e-37
@@ -87,7 +85,7 @@ class PhosphorStep:
                 set_uniforms(shader, atlas_uv=3, kr_map=4, dt=dt_s)
         for _ in range(times):
             bind_states(shader, r, target)
-            self._device.dispatch(shader, target.value.size, group=GROUP)
+            self._device.dispatch(shader, target.value.size, group=texels_of_group(r.n_states))
             r, target = target, r
         return r
 

@@ -109,10 +109,19 @@ class StateTexture:
         return r[..., : self.n_states]
 
 
+def texels_of_group(n_states: int) -> tuple[int, int]:
+    """Return the texels of one work group of such a shader: the invocations' rows, as texels.glsl shares them out.
+
+    More rows cost less each, until the registers do not hold what they share.
+    """
+    return 64, 6 if n_states <= 2 else 4
+
+
 def state_defines(r: StateTexture, target: StateTexture) -> Defines:
     """Return what a shader that includes `state_texture.glsl` must define to step from `r` to `target`."""
     defines: dict[str, int | str] = {
         "STATES": r.n_states,
+        "ROWS": texels_of_group(r.n_states)[1],
         "FORMAT": target.format.include,
         "IMAGE_FORMAT": image_format(r.n_states, target.format.image),
     }

@@ -1,7 +1,6 @@
 #version 430
 // One step of every texel's rate equations, by the solver that the host chose (Nalbach 2017, eq. 8.1 and 8.5).
 // KR_MAP: the rates vary over the surface.
-layout(local_size_x = 64) in; // a row of texels: an eighth faster than a square on a CPU rasterizer
 #include "state_texture.glsl"
 #include "drive.glsl"
 #include "SOLVER"
@@ -16,9 +15,7 @@ uniform float dt;         // s
 uniform vec4 kr_dt; // computed in float64
 #endif
 
-void main() {
-    ivec2 texel = ivec2(gl_GlobalInvocationID.xy);
-    if (texel.x >= imageSize(r_out).x) return;
+void at_texel(ivec2 texel) {
 #ifdef KR_MAP
     vec4 kr_dt = max(textureLod(kr_map, texelFetch(atlas_uv, texel, 0).xy, 0.0) * dt, SLOWEST);
 #endif
@@ -33,3 +30,5 @@ void main() {
     step_state(r, OF_STATES(kr_dt), drive, from, change);
     store_state(texel, r, from, change);
 }
+
+#include "texels.glsl"
