@@ -64,8 +64,9 @@ def main(arguments: list[str] | None = None) -> int:
         with Server(socket, laboratory, options.linger) as server:
             about = {"seed": options.seed, "session": options.session}
             endpoints = {"pid": os.getpid(), "socket": str(socket), "sample": options.sample}
+            signal.signal(signal.SIGTERM, lambda *_: server.end())
             write_text(folder / ENDPOINTS, json.dumps(endpoints | about) + "\n")
-            server.serve_forever()
+            server.serve_forever(poll_interval=0.1)
     except _EndError:
         pass
     except PhoslabError as error:

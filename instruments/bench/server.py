@@ -35,6 +35,11 @@ class Server(socketserver.ThreadingUnixStreamServer):
         self._connected = 0
         self._counting = threading.Lock()
         self._last = time.monotonic()
+        self._ending = False
+
+    def end(self) -> None:
+        """Serve no longer; to be called at any moment by a signal, which must not raise: this class swallows errors."""
+        self._ending = True
 
     def count(self, by: int) -> None:
         """Count a connection that comes (1) or goes (-1)."""
@@ -43,8 +48,9 @@ class Server(socketserver.ThreadingUnixStreamServer):
             self._last = time.monotonic()
 
     def service_actions(self) -> None:
-        """Called twice a second: end if nobody has come back."""
-        if not self._connected and time.monotonic() - self._last > self._linger_s:
+        """Called between requests: end if that was asked for, or if nobody has come back."""
+        forgotten = not self._connected and time.monotonic() - self._last > self._linger_s
+        if self._ending or forgotten:
             threading.Thread(target=self.shutdown, daemon=True).start()
 
 

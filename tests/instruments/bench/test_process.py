@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
@@ -197,6 +198,29 @@ def test_a_bench_without_a_host_ends_by_itself_and_takes_its_folder_along() -> N
     assert eventually(lambda: not folder.exists(), 10)
     assert rig.find(folder) is None
     bench.stop()
+
+
+def test_a_bench_that_is_told_to_end_does_so_whatever_it_is_doing() -> None:
+    """Hosts come and go all the while, so that the signal meets it within a request."""
+    bench = rig.start("green")
+
+    ended = threading.Event()
+
+    def come_and_go() -> None:
+        while not ended.is_set():
+            with contextlib.suppress(DeviceGoneError):  # more than it takes at once
+                Link(bench.socket).close()
+
+    hosts = [threading.Thread(target=come_and_go) for _ in range(4)]
+    for host in hosts:
+        host.start()
+    time.sleep(0.2)
+    os.kill(bench.pid, signal.SIGTERM)
+    try:
+        assert eventually(lambda: not bench.folder.exists(), 10)
+    finally:
+        ended.set()
+        bench.stop()
 
 
 def test_ctrl_c_is_for_the_host(lab: Laboratory) -> None:
