@@ -26,6 +26,7 @@ _MOST_STEPS = 200
 # is left is a ten-thousandth of a standard error.
 _SETTLED = 1e-8
 _MOST_LOOKS = 400
+_OUTSIDE = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,17 +142,19 @@ def reach(
     first, slope = quantity(found.theta)
     size = float(np.linalg.norm(slope * unit)) or 1.0
 
+    # Where the model has no number a look counts as far outside, which makes the search turn back.
     def value(x: Array, gradient: Array) -> float:
         at, by = quantity(x * unit)
         if gradient.size:
-            gradient[:] = by * unit / size
-        return (at - first) / size
+            gradient[:] = np.nan_to_num(by * unit / size, posinf=0.0, neginf=0.0)
+        return (at - first) / size if np.isfinite(at) else 0.0
 
     def excess(x: Array, gradient: Array) -> float:
         left, J = residual(x * unit)
         if gradient.size:
-            gradient[:] = 2 * (J.T @ left) * unit / chi2
-        return float(left @ left) / chi2 - 1
+            gradient[:] = np.nan_to_num(2 * (J.T @ left) * unit / chi2, posinf=0.0, neginf=0.0)
+        found = float(left @ left) / chi2 - 1
+        return found if np.isfinite(found) else _OUTSIDE
 
     solver = nlopt.opt(nlopt.LD_SLSQP, found.theta.size)
     solver.set_lower_bounds(lower / unit)
@@ -161,8 +164,9 @@ def reach(
     solver.set_ftol_rel(1e-8)
     solver.set_maxeval(_MOST_LOOKS)
     try:
-        x = solver.optimize(np.maximum(found.theta, lower) / unit)
-    except (nlopt.RoundoffLimited, RuntimeError, ValueError):
+        with np.errstate(all="ignore"):
+            x = solver.optimize(np.maximum(found.theta, lower) / unit)
+    except (nlopt.exception, nlopt.RoundoffLimited, ValueError):
         return np.inf
     if excess(x, np.zeros(0)) > 1e-3:
         return np.inf

@@ -250,6 +250,8 @@ def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit
     product, product_by = _product(problem, theta)
     product_error = _errors(product_by, covariance)
     seen = product > _ONE_SIDED * product_error
+    # What glows is excited by something: where no band stands out, the estimate, however poor, is better than 0.
+    seen |= (product > 0) & ~seen.any(axis=1, keepdims=True)
     if problem.common:
         # One spectrum for all: a band that excites any state excites all of them.
         seen = np.broadcast_to(seen.any(axis=0), seen.shape)
@@ -263,7 +265,8 @@ def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit
                 continue
             largest = _largest_product(problem, best.search, int(i), int(j), allowed) / np.exp(log_gain[i])
             ratio = ke.sum(axis=1) / ke[i].sum() if problem.common else np.arange(n_c) == i
-            upper[:, j] = np.where(ratio > 0, ratio * largest, upper[:, j])
+            if np.isfinite(largest):
+                upper[:, j] = np.where(ratio > 0, ratio * largest, upper[:, j])
     model = problem.signal(theta)[0]
     fresh = problem.fresh
     end, end_model = ends(data, fresh), ends(replace(data, signal=model), fresh)

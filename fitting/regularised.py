@@ -8,9 +8,9 @@
 
 with γ = 1.4, which keeps it from following noise when data are few (Kim and Gu 2004). The score is flat around its
 minimum: of what it hardly tells apart, the smoothest is taken. (Neither the smoothest within the score's standard error
-nor the smoothest that fits within the noise: on spectra with a narrow peak the first errs a tenth more, the second twice
-as much, beyond what their bands say.) The band is that of the posterior of which x is the mean, s² (AᵀA + μ DᵀD)⁻¹: over
-all of a curve it covers as often as it says (Wahba 1983).
+nor the smoothest that fits within the noise: on spectra with a narrow peak the first errs a tenth more, the second
+twice as much, beyond what their bands say.) The band is that of the posterior of which x is the mean,
+s² (AᵀA + μ DᵀD)⁻¹: over all of a curve it covers as often as it says (Wahba 1983).
 """
 
 from __future__ import annotations

@@ -30,10 +30,12 @@ class History:
     Args:
         done: answers of the steps of each finished part, by name.
         attempts: how often each part was begun.
+        states: how lamp and door were last seen.
     """
 
     done: dict[str, Answers] = field(default_factory=dict)
     attempts: dict[str, int] = field(default_factory=dict)
+    states: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, events: Iterable[Event]) -> History:
@@ -54,6 +56,8 @@ class History:
                     history.done[part] = answers
                 elif fields["command"] in steps:
                     answers[steps[fields["command"]]] = fields["reply"]
+            elif event.event == "edge":
+                history.states[fields["device"]] = fields["to"]
         return history
 
     def answer(self, part: str, number: int, step: Step) -> Any:

@@ -152,7 +152,7 @@ class Runner:
         self._began_s = recorder.mono_s()
         self._dark_since_s = self._began_s  # nobody knows what shone on the sample before
         self._lamp_on = False
-        self._edges: dict[str, str] = {}
+        self._edges = dict(self.history.states)
         self._lags_s: deque[float] = deque(maxlen=LAGS)
         self._lost = 0
         self._looked = time.monotonic()
@@ -344,7 +344,7 @@ class Runner:
         return self._edge("door", to, reading)
 
     def _edge(self, device: str, to: str, reading: Reading) -> float:
-        """Record that lamp or door changed, once; return when."""
+        """Record that lamp or door changed, once, even if another process has seen it; return when."""
         # A controller's clock is mapped to ours to a millisecond or so: the moment may come out a little late.
         at_s = min(reading["mono_s"] + self.recorder.offset_s, self.recorder.mono_s())
         # What was so before this run has no moment in the session: the clock may have been set in between.

@@ -150,8 +150,13 @@ class Session:
 
     @property
     def lamp_off_s(self) -> float | None:
-        """When the lamp was last switched off, or None if it never was. Its light may fade after that."""
-        off = [e.at_s for e in self.edges if (e.device, e.to) == ("lamp", "off")]
+        """When the lamp was last switched off, or None if it never was. Its light may fade after that.
+
+        That it is still off, which whoever resumes a session finds, is no switching.
+        """
+        edges = self.edges_of("lamp")
+        before = ("on", *(e.to for e in edges))
+        off = [e.at_s for e, was in zip(edges, before, strict=False) if (was, e.to) == ("on", "off")]
         return off[-1] if off else None
 
 

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from jsonschema import Draft202012Validator
 from phoslab import schemas
 from phoslab.errors import PhoslabError
 from phoslab.instruments.recorder import Recorder
-from phoslab.session import Session
+from phoslab.session import Edge, Session
 
 HEADER = {
     "operator": "Ada",
@@ -113,11 +114,20 @@ def test_what_was_recorded_reads_back(folder: Path) -> None:
     assert [e.seq for e in session.events] == list(range(len(session.events)))
 
 
-def test_the_last_of_several_lamp_offs_counts(folder: Path) -> None:
-    assert len(Session.open(folder).edges_of("door")) == 0
-    edit_line(folder, 2, lambda line: line.update(to="off"))
-    session = Session.open(folder)
-    assert session.lamp_off_s == session.edges[1].at_s
+@pytest.mark.parametrize(
+    ("states", "counts"),
+    [
+        ("on off on off", 3),
+        ("on off off", 1),  # that it is still off was found by whoever resumed the session
+        ("off on off", 2),
+        ("off", 0),
+        ("on", None),
+    ],
+)
+def test_the_last_of_several_lamp_offs_counts(folder: Path, states: str, counts: int | None) -> None:
+    edges = tuple(Edge("lamp", to, 10.0 * k, None) for k, to in enumerate(states.split()))
+    session = replace(Session.open(folder), edges=edges)
+    assert session.lamp_off_s == (None if counts is None else edges[counts].at_s)
 
 
 def test_a_header_cannot_be_changed(folder: Path) -> None:

@@ -131,6 +131,10 @@ class Campaign:
         return rehearsal.line
 
 
+class NothingLeftError(PhoslabError):
+    """All was measured before."""
+
+
 def begin(campaign: Campaign) -> None:
     """Refuse what is wrong before any device is touched; then make room for it."""
     check_free(campaign.folder)
@@ -142,7 +146,7 @@ def measured(campaign: Campaign, *, json: bool, resume: bool = False) -> int:
     """Measure, say what came of it, and return the exit code."""
     view = "silent" if json else "live" if sys.stderr.isatty() else "lines"
     outcomes: list[Outcome] = []
-    problem = ""
+    problem, left = "", True
     try:
         for outcome in run(campaign, view=view, resume=resume):
             outcomes.append(outcome)
@@ -151,9 +155,9 @@ def measured(campaign: Campaign, *, json: bool, resume: bool = False) -> int:
     except KeyboardInterrupt:
         problem = "stopped by a signal; the lamp is off"
     except PhoslabError as error:
-        problem = str(error)
+        problem, left = str(error), not isinstance(error, NothingLeftError)
     again = f"phoslab resume {campaign.folder}"
-    can_resume = bool(problem) and (
+    can_resume = bool(problem and left) and (
         (campaign.folder / FILE).exists() or (campaign.folder / "journal.jsonl").exists()
     )
     if json:
@@ -201,13 +205,14 @@ def run(campaign: Campaign, *, view: str, resume: bool = False) -> Iterator[Outc
     """Measure what is not there yet, session by session.
 
     Raises:
+        NothingLeftError: it is complete.
         PhoslabError: it cannot go on. KeyboardInterrupt: a signal asked for an end. Either way the lamp is off, and the
             session that was being recorded is closed as interrupted.
     """
     done, last_wall = _progress(campaign) if resume else (frozenset(), None)
     left = [e for e in campaign.entries if e.folder not in done]
     if not left:
-        raise PhoslabError(
+        raise NothingLeftError(
             "is complete",
             file=campaign.folder,
             remedy="There is nothing to resume; measure into a new folder.",

@@ -442,6 +442,23 @@ def offsets(session: Session) -> list[tuple[float, float]]:
     return list(pairwise(ahead))
 
 
+def test_a_lamp_that_is_still_off_is_not_switched_off_by_a_resume(tmp_path: Path) -> None:
+    """Killed after its last decay frame, a session counts its times from the moment before the first."""
+    folder = tmp_path / "s"
+    process = decay_in_a_process(folder)
+    wait_for(folder, lambda journal: any("dark frames" in str(e) for e in journal))
+    process.kill()
+    process.communicate(timeout=60)
+    assert cli.main(["resume", str(folder)]) == 0
+    session = Session.open(folder)
+    assert session.complete
+    lamp = [e.to for e in session.edges_of("lamp")]
+    assert lamp == ["on", "off"] * (len(lamp) // 2)
+    assert session.lamp_off_s is not None
+    assert session.lamp_off_s < min(f.start_s for f in session.frames_of("decay"))
+    fits(folder)
+
+
 def test_a_second_process_is_refused_and_disturbs_nothing(tmp_path: Path) -> None:
     first = decay_in_a_process(tmp_path / "s")
     wait_for(tmp_path / "s", lamp_is_on)
@@ -457,7 +474,9 @@ def test_a_second_process_is_refused_and_disturbs_nothing(tmp_path: Path) -> Non
 def test_a_complete_session_is_not_measured_again(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (whole / "journal.jsonl").read_bytes()
     assert cli.main(["resume", str(whole)]) == 1
-    assert "is complete" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "is complete" in told
+    assert "To go on" not in told
     assert (whole / "journal.jsonl").read_bytes() == before
 
 

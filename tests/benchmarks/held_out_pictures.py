@@ -153,9 +153,8 @@ def run(folder: Path, name: str) -> dict[str, Array]:
         # From the bench's unit to DN of 1 s at ISO 100 and f/1: what its camera is made for.
         unit = unit_of(name)
         rendered = pictures(result.material, sensitivities, charge_s)
-        green = sensitivities.at(NM)[:, 1].sum()
-        results[f"{states}"] = delta_e(photos.rgb * unit * green, rendered, camera_to_xyz(sensitivities))
-        results[f"{states} brightness"] = rendered[:, 1] / (photos.rgb[:, 1] * unit * green) - 1
+        results[f"{states}"] = delta_e(photos.rgb * unit, rendered, camera_to_xyz(sensitivities))
+        results[f"{states} brightness"] = rendered[:, 1] / (photos.rgb[:, 1] * unit) - 1
         results[f"{states} n"] = np.array([result.fit.n_states])
     return results
 

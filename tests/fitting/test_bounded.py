@@ -89,6 +89,20 @@ def test_the_reach_respects_bounds():
     assert furthest == pytest.approx(7.0, rel=1e-4)
 
 
+def test_the_reach_turns_back_where_the_model_has_no_number():
+    """|log θ| <= 1 holds down to 1 / e; a first step as long as an error ends at 0, and a longer one beyond."""
+
+    def residual(theta):
+        with np.errstate(all="ignore"):
+            return np.log(theta), np.array([[1 / theta[0]]])
+
+    found = search(residual, np.array([1.1]), np.array([-np.inf]))
+    furthest = reach(
+        lambda theta: (-float(theta[0]), np.array([-1.0])), residual, found, np.array([-np.inf]), 1.0
+    )
+    assert furthest == pytest.approx(-np.exp(-1), rel=1e-3)
+
+
 def test_the_covariance_is_that_of_the_normal_equations():
     J, _, _ = linear(7)
     assert covariance_of(J) == pytest.approx(np.linalg.inv(J.T @ J), rel=1e-9)
