@@ -34,8 +34,8 @@ Array = NDArray[np.float64]
 FADE_S = 0.32
 """Of a lamp whose rig says nothing (Nalbach 2017, 8.4.6)."""
 
-_CUTS = 2
-"""Parts into which nodes cut each band: see `fitting.light`."""
+_NODES_NM = 19.0
+"""Bands are cut into parts of at most this width: half of what the strip passes. See `fitting.light`."""
 
 _FADE_STEPS = 8
 """Of a fade of 0.3 s: the error (see `fitting.charging`) is 1e-4 of the light of an exposure of 1 s, at k = 1/s."""
@@ -114,7 +114,7 @@ def reduce_excitation(
     on_s, off_s = np.array([_last_light(session, f) for f in frames]).T
     exposure_s = np.array([camera.settings.exposure_s(f.exposure_s) for f in frames])
     start_s = np.array([f.start_s for f in frames])
-    shapes = Shapes.lines(bands, _CUTS)
+    shapes = Shapes.lines(bands, int(np.ceil(bands.widths_nm.max() / _NODES_NM)))
     curves = np.stack([np.interp(NM, GRID_NM, row) for row in calibration.curves.curve[there]])
     data = ExcitationData(
         steps=Steps.of(off_s - on_s, start_s - off_s, exposure_s, course),

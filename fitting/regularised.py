@@ -7,10 +7,10 @@
     GCV(μ) = n RSS / (n - γ t)²,     t = trace of the matrix that maps y to A x,
 
 with γ = 1.4, which keeps it from following noise when data are few (Kim and Gu 2004). The score is flat around its
-minimum: of what it hardly tells apart, the smoothest is taken. (Neither the smoothest within the score's standard error
-nor the smoothest that fits within the noise: on spectra with a narrow peak the first errs a tenth more, the second
-twice as much, beyond what their bands say.) The band is that of the posterior of which x is the mean,
-s² (AᵀA + μ DᵀD)⁻¹: over all of a curve it covers as often as it says (Wahba 1983).
+minimum: of what it cannot tell apart, or what fits within the noise, the smoothest is taken. The band is that of the
+posterior of which x is the mean, s² (AᵀA + μ DᵀD)⁻¹: over all of a curve it covers as often as it says (Wahba 1983),
+too wide where the curve is smooth and too narrow where it bends most. There smoothing has pulled x away from what the
+data say; how far it moves when smoothed ten times less tells by how much (`Solution.pull`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from scipy.sparse import csr_array
 Array = NDArray[np.float64]
 
 _GAMMA = 1.4
-_ALIKE = 0.01
 _ROUNDS = 100
 _EXACT, _SIGNS = 300, 40
 
@@ -66,6 +65,8 @@ class Solution:
     Args:
         x: (n,).
         covariance: (n, n) of the posterior; of what is held at 0, as if it were free.
+        pull: (n,) x less what it is at a tenth of the strength: what smoothing has done to it, to first order in μ (there
+            the bias is μ M⁻¹ DᵀD x, of which nine tenths are seen), and some noise.
         strength: μ.
         misfit: Σ ((A x - y) / σ)².
         degrees: effective number of parameters, t.
@@ -75,6 +76,7 @@ class Solution:
 
     x: Array
     covariance: Array
+    pull: Array
     strength: float
     misfit: float
     degrees: float
@@ -109,7 +111,7 @@ def solve(normal: Normal, penalty: Array, span: tuple[float, float] = (1e-7, 1e5
     """
     unit = float(np.trace(normal.matrix)) / max(float(np.trace(penalty)), 1e-300)
     free = np.ones(normal.right.size, dtype=bool)
-    tried: dict[float, tuple[float, NDArray[np.bool_]]] = {}
+    tried: dict[float, tuple[float, NDArray[np.bool_], bool]] = {}
 
     def score(mu: float) -> float:
         nonlocal free
@@ -121,10 +123,12 @@ def solve(normal: Normal, penalty: Array, span: tuple[float, float] = (1e-7, 1e5
     # From smooth to rough, each from what was free before: the sets change little.
     grid = unit * np.geomspace(*span, 13)[::-1]
     scores = np.array([score(float(mu)) for mu in grid])
-    limit = float(scores.min()) * (1 + _ALIKE)
+    # The smoothest that is no worse than the best by more than the score's own standard error (Breiman et al. 1984).
+    # So is what misses the data by no more than their noise.
+    limit = float(scores.min()) * (1 + np.sqrt(2 / max(normal.n_data, 1)))
 
     def serves(mu: float) -> bool:
-        return score(mu) <= limit
+        return score(mu) <= limit or tried[mu][2]
 
     k = next(k for k, mu in enumerate(grid) if serves(float(mu)))
     at_end = k in (0, grid.size - 1)
@@ -141,7 +145,9 @@ def solve(normal: Normal, penalty: Array, span: tuple[float, float] = (1e-7, 1e5
     misfit = normal.misfit(x)
     # Noise is not made smaller than σ says: a lucky fit is no better camera.
     scale = max(1.0, misfit / max(normal.n_data - degrees, 1.0))
-    return Solution(x, scale * inverse, float(best), misfit, degrees, normal.n_data, at_end)
+    less = normal.matrix + best / 10 * penalty
+    rougher, _ = non_negative(less + _jitter(less), normal.right, free)
+    return Solution(x, scale * inverse, x - rougher, float(best), misfit, degrees, normal.n_data, at_end)
 
 
 def non_negative(
@@ -180,14 +186,14 @@ def non_negative(
     return np.maximum(x, 0.0), free
 
 
-def _score(normal: Normal, M: Array, free: NDArray[np.bool_]) -> tuple[float, NDArray[np.bool_]]:
-    """The score of the solution with matrix M, and what is free in it."""
+def _score(normal: Normal, M: Array, free: NDArray[np.bool_]) -> tuple[float, NDArray[np.bool_], bool]:
+    """The score of the solution with matrix M, what is free in it, and whether it fits within the noise."""
     M = M + _jitter(M)
     x, free = non_negative(M, normal.right, free)
     degrees, misfit = _degrees(normal, M, free), normal.misfit(x)
     rest = normal.n_data - _GAMMA * degrees
     score = float("inf") if rest <= 0 else normal.n_data * misfit / rest**2
-    return score, free
+    return score, free, misfit <= normal.n_data - degrees
 
 
 def _degrees(normal: Normal, M: Array, free: NDArray[np.bool_]) -> float:

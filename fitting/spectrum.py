@@ -36,14 +36,14 @@ NM = np.arange(400.0, 701.0, 5.0)
 BELIEF = 0.004
 """How well a calibration describes another measurement, as a share of the signal: repeated settings, moved lights."""
 
-TOGETHER_NM = 5.0
-"""Over so much the errors of a transmission curve go together: two of its nodes."""
-
 UNEVEN, EVEN = 0.03, 0.01
 """How far a spectrum may be wrong over long stretches, as a share of it: lights hang elsewhere than the one of the
 calibration did. The second where a frame without the strip has told how evenly the scene is lit."""
 
 _STRETCH_NM = 50.0
+
+BENDS_NM = 12.0
+"""Over so much what smoothing does to a spectrum goes together: half the width of what the strip passes."""
 
 _SHIFT_PX = 1.0
 """Standard deviation of a strip's place along itself, before the colours are looked at."""
@@ -229,8 +229,6 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
     step = GRID_NM[1] - GRID_NM[0]
     A = np.einsum("kn,nc,nj->kcj", np.nan_to_num(curve), seen, hats) * step
 
-    from_curves = np.zeros((curve.shape[0], 3))
-
     def equations(shift_px: float) -> tuple[Normal, Array, Array]:
         weights = calibration.reading(shift_px)
         there = np.asarray(np.isfinite(weights).all(axis=1) & np.isfinite(curve).all(axis=1))
@@ -243,17 +241,15 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
                 field="the strip",
                 remedy="Expose it shorter, and calibrate with the strip where it is now.",
             )
+        # What a curve has too much at one wavelength it lacks at the next: of a light as smooth as those that it was
+        # fitted to it says what it says of those, and `misfit` is by how much it misses them.
         belief = np.hypot(BELIEF * y, calibration.curves.misfit * y.max(axis=1, keepdims=True))  # type: ignore[union-attr]
-        total = np.sqrt(noise**2 + belief**2 + from_curves**2)
+        total = np.hypot(noise, belief)
         return Normal.of(A.reshape(-1, NM.size), y.ravel(), total.ravel()), y, total
 
     d = second_differences(NM.size)
     penalty = d.T @ d
-    first = solve(equations(0.0)[0], penalty)
-    # What the curves' own errors make of that spectrum; they go together over some nanometres, not over a band.
-    errors = np.nan_to_num(calibration.curves.standard_error)
-    from_curves = np.sqrt((errors**2) @ (seen * (hats @ first.x)[:, None]) ** 2 * step * TOGETHER_NM)
-    shift = _shift(equations, penalty, first)
+    shift = _shift(equations, penalty, solve(equations(0.0)[0], penalty))
     normal, y, total = equations(shift)
     solution = solve(normal, penalty)
     top = float(solution.x.max())
@@ -266,7 +262,7 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
     value = solution.x / top
     together = np.exp(-0.5 * ((NM[:, None] - NM) / _STRETCH_NM) ** 2)
     long = (UNEVEN if evenness is None else EVEN) ** 2 * np.outer(value, value) * together
-    covariance = solution.covariance / top**2 + long
+    covariance = solution.covariance / top**2 + long + _smoothed_away(solution.pull / top)
     return Spectrum(
         nm=NM,
         value=value,
@@ -301,6 +297,16 @@ def _shift(
     bend = a - 2 * b + c
     step = tried[1] - tried[0]
     return float(np.clip(tried[k] + (0.5 * step * (a - c) / bend if bend > 0 else 0.0), -2.5, 2.5))
+
+
+def _smoothed_away(pull: Array) -> Array:
+    """(n, n) covariance of what smoothing has taken from a spectrum.
+
+    Its size is the root mean square of the pull nearby: the pull itself is 0 wherever it changes sign, the error is not.
+    """
+    near = np.exp(-0.5 * ((NM[:, None] - NM) / BENDS_NM) ** 2)
+    size = np.sqrt(near @ pull**2 / near.sum(axis=1))
+    return size[:, None] * near * size
 
 
 def _evenness(path: Path, calibration: Calibration) -> tuple[Array | None, list[str]]:

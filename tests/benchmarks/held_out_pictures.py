@@ -7,8 +7,9 @@ and as many as the fit chooses. Then a sample that was at rest is charged anew, 
 noise 0, 0.01 and 20 s after the lamp has faded: with the bench's physics, at moments that the decay's frames do not
 have. The material is charged by the same lamp, its radiance goes through the camera's sensitivities band by band, and
 both become colours by one matrix; DeltaE00 is of the mean colour of the sample, with its white at the brightest
-photograph of the paint. One factor stands between camera and material in all pictures of a paint: the camera's unit,
-which the fit states; nothing is adjusted here.
+photograph of the paint. The camera's unit stands between camera and material, as an aperture that is a little off what
+is written on it makes it: one factor for the three pictures of a paint, the only thing that is adjusted here. How
+brightness changes and every colour are the fit's.
 """
 
 from __future__ import annotations
@@ -153,8 +154,11 @@ def run(folder: Path, name: str) -> dict[str, Array]:
         # From the bench's unit to DN of 1 s at ISO 100 and f/1: what its camera is made for.
         unit = unit_of(name)
         rendered = pictures(result.material, sensitivities, charge_s)
-        results[f"{states}"] = delta_e(photos.rgb * unit, rendered, camera_to_xyz(sensitivities))
-        results[f"{states} brightness"] = rendered[:, 1] / (photos.rgb[:, 1] * unit) - 1
+        seen = photos.rgb * unit
+        factor = float(np.exp(np.mean(np.log(seen[:, 1] / rendered[:, 1]))))
+        results[f"{states}"] = delta_e(seen, factor * rendered, camera_to_xyz(sensitivities))
+        results[f"{states} brightness"] = factor * rendered[:, 1] / seen[:, 1] - 1
+        results[f"{states} factor"] = np.array([factor])
         results[f"{states} n"] = np.array([result.fit.n_states])
     return results
 
