@@ -65,8 +65,8 @@ class Solution:
     Args:
         x: (n,).
         covariance: (n, n) of the posterior; of what is held at 0, as if it were free.
-        pull: (n,) x less what it is at a tenth of the strength: what smoothing has done to it, to first order in μ (there
-            the bias is μ M⁻¹ DᵀD x, of which nine tenths are seen), and some noise.
+        pull: (n,) x less what it is at a tenth of the strength: what smoothing has done to it, to first order in μ
+            (there the bias is μ M⁻¹ DᵀD x, of which nine tenths are seen), and some noise.
         strength: μ.
         misfit: Σ ((A x - y) / σ)².
         degrees: effective number of parameters, t.

@@ -302,7 +302,7 @@ def _shift(
 def _smoothed_away(pull: Array) -> Array:
     """(n, n) covariance of what smoothing has taken from a spectrum.
 
-    Its size is the root mean square of the pull nearby: the pull itself is 0 wherever it changes sign, the error is not.
+    Its size is the root mean square of the pull nearby: where the pull changes sign it is 0, and the error is not.
     """
     near = np.exp(-0.5 * ((NM[:, None] - NM) / BENDS_NM) ** 2)
     size = np.sqrt(near @ pull**2 / near.sum(axis=1))
