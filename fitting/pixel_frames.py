@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
 from phoslab.fitting.compiled import compiled
-from phoslab.raw import check_settings, decoded, exposure_factor
+from phoslab.fitting.measured_camera import MeasuredCamera
+from phoslab.raw import check_settings, decoded
 from phoslab.raw_worker import SATURATED
 from phoslab.session import Frame, Session
 
@@ -48,7 +49,7 @@ class PixelFrames:
         dark_dn: (n_frames, 2, 2) what a pixel of the pattern reads without light.
         read_dn2: (n_frames,) variance of a pixel without light, DN².
         limit_dn: (2, 2) values that are saturated.
-        scale: (n_frames,) from DN to signal a second; see `phoslab.raw.exposure_factor`.
+        scale: (n_frames,) from DN to signal a second at ISO 100 and f/1.
         hot: (h, w) pixels to leave out.
         total: (h / cell, w / cell) DN above dark of each cell, all frames together.
     """
@@ -100,6 +101,7 @@ def stored(
     folder: Path,
     *,
     side: int = 1,
+    camera: MeasuredCamera | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[PixelFrames]:
     """Decode decay frames and their darks into a temporary file, which is gone afterwards.
@@ -107,6 +109,7 @@ def stored(
     Args:
         folder: where the file lies meanwhile: 2 bytes a pixel and frame.
         side: of a cell, in units of the colour pattern.
+        camera: whose settings are taken; by default what is written on them.
         progress: called with (frames done, frames in all).
 
     Raises:
@@ -130,7 +133,8 @@ def stored(
                     if progress:
                         progress(done, len(frames) + len(darks))
 
-        yield _store(frames, darks, Path(scratch) / "frames", side, answers)
+        scale = np.array([(camera or MeasuredCamera()).factor(f) for f in frames])
+        yield _store(frames, darks, Path(scratch) / "frames", side, scale, answers)
 
 
 def _store(
@@ -138,6 +142,7 @@ def _store(
     darks: Sequence[Frame],
     file: Path,
     side: int,
+    scale: Array,
     answers: Callable[[Sequence[Frame]], Iterator[tuple[Frame, dict[str, Any]]]],
 ) -> PixelFrames:
     cell = 2 * side
@@ -201,7 +206,7 @@ def _store(
         dark_dn=np.array([levels[f.exposure_s, f.iso] for f in frames]),
         read_dn2=np.array([spreads[f.exposure_s, f.iso] for f in frames]),
         limit_dn=limit,
-        scale=np.array([exposure_factor(f.exposure_s, f.iso, f.f_number) for f in frames]),
+        scale=scale,
         hot=hot,
         total=brightness,
     )

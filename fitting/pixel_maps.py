@@ -6,7 +6,8 @@ each pixel is fitted by itself with that number of states, and its rates and emi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 from phoslab.errors import PhoslabError
 from phoslab.exr import write_channels
 from phoslab.fitting.decay import rate_limits
-from phoslab.fitting.pixel_decay import Flag, PixelFits, PixelNoise, PixelProblem, fit_pixels
+from phoslab.fitting.engine import Fits, here
+from phoslab.fitting.pixel_decay import Flag, PixelFits, PixelNoise, PixelProblem
 from phoslab.fitting.pixel_frames import PixelFrames, stored
 from phoslab.fitting.result import FitResult
 from phoslab.maps import channel_names, write_map
@@ -90,9 +92,12 @@ class PixelMaps:
     def warnings(self) -> list[str]:
         """Say what of the maps should not be believed, one sentence each."""
         n, fitted = self.counts(), max(1, int(self.fitted.sum()))
-        said = [
-            "Brightness is as the camera saw it: the lens's falloff towards the corners is in the emission map.",
-        ]
+        said = []
+        if self.whole.reduced.camera.shading is None:
+            said.append(
+                "Brightness is as the camera saw it: the lens's falloff towards the corners is in the emission map, "
+                "since no session of the plan 'flats' is among those named."
+            )
         for flag, share, text in (
             ("fewer", 0.02, "carry fewer states than the sample as a whole; the others are dark there"),
             ("undetermined", 0.02, "have a rate that their light does not determine: see the error maps"),
@@ -132,6 +137,7 @@ def fit_maps(
     scratch: Path,
     *,
     side: int = 1,
+    engine: Fits = here,
     decoded: Callable[[int, int], None] | None = None,
     fitted: Callable[[int, int], None] | None = None,
 ) -> PixelMaps:
@@ -142,6 +148,7 @@ def fit_maps(
         whole: the fit of the same session; its number of states, and its rates as one start, are taken over.
         scratch: folder for a temporary file of 2 bytes a pixel and frame.
         side: of a map's pixel, in units of the colour pattern (2 x 2 pixels).
+        engine: what fits.
         decoded, fitted: called with (frames done, in all) and (rows done, in all).
 
     Raises:
@@ -150,7 +157,8 @@ def fit_maps(
     data, fit = whole.reduced.data, whole.fit
     off_s = session.lamp_off_s
     frames = [f for f in session.frames_of("decay") if off_s is not None and f.start_s >= off_s]
-    with stored(session, frames, scratch, side=side, progress=decoded) as store:
+    camera = whole.reduced.camera
+    with stored(session, frames, scratch, side=side, camera=camera, progress=decoded) as store:
         gain = electron_dn(session, frames, whole, store)
         iso = np.array([f.iso / 100 for f in frames])
         per_cell = store.pixels_a_colour
@@ -173,17 +181,28 @@ def fit_maps(
         shape = (int(bottom - top), int(right - left))
         fits = PixelFits.empty(shape[0] * shape[1], fit.n_states, data.signal.shape[1])
         fits.flags[:] = Flag.MASKED
-        for first, signal in store.strips():
-            y0, y1 = max(first, top), min(first + len(signal), bottom)
-            if y0 >= y1:
-                continue
-            here = np.flatnonzero(glows[y0:y1, left:right])
-            values = signal[y0 - first : y1 - first, left:right].reshape(-1, *signal.shape[2:])[here]
-            found = fit_pixels(problem, values)
+        places: deque[tuple[NDArray[np.intp], int]] = deque()
+
+        def strips() -> Iterator[Pixels]:
+            for first, signal in store.strips():
+                y0, y1 = max(first, top), min(first + len(signal), bottom)
+                if y0 < y1:
+                    inside = np.flatnonzero(glows[y0:y1, left:right])
+                    places.append((inside + (y0 - top) * shape[1], int(y1 - top)))
+                    yield signal[y0 - first : y1 - first, left:right].reshape(-1, *signal.shape[2:])[inside]
+
+        for found in engine(problem, strips()):
+            place, n_rows = places.popleft()
             for name, array in vars(fits).items():
-                array[here + (y0 - top) * shape[1]] = getattr(found, name)
+                array[place] = getattr(found, name)
             if fitted:
-                fitted(int(y1 - top), shape[0])
+                fitted(n_rows, shape[0])
+    if camera.shading is not None:
+        middle = (np.arange(n) + 0.5 for n in shape)
+        row, column = (k * store.cell for k in np.meshgrid(*middle, indexing="ij"))
+        evenness = camera.shading.at(row + top * store.cell - 0.5, column + left * store.cell - 0.5)
+        for values in (fits.amplitude, fits.amplitude_error):
+            values /= evenness.reshape(-1, 1).astype(np.float32)
     _match_states(fits, fit.kr_per_s)
     corner = (int(top) * store.cell, int(left) * store.cell)
     read_dn = (float(store.read_dn2.min()) ** 0.5, float(store.read_dn2.max()) ** 0.5)

@@ -6,7 +6,7 @@ Each frame is decoded once by the limited workers, which return its means: memor
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ class ReducedDecay:
         shading: mean shading of the region, which was divided out; 1 where it is unknown.
         scattered: (3,) light beside the sample as a share of the light on it, which was taken off.
         hot_pixels: how many pixels of the region were left out as hot.
+        camera: whose settings, noise and shading were taken.
     """
 
     data: DecayData
@@ -46,6 +47,7 @@ class ReducedDecay:
     shading: float = 1.0
     scattered: tuple[float, ...] = (0.0, 0.0, 0.0)
     hot_pixels: int = 0
+    camera: MeasuredCamera = field(default_factory=MeasuredCamera)
 
 
 def reduce_decay(
@@ -131,6 +133,7 @@ def reduce_decay(
         shading=shading,
         scattered=tuple(float(s) for s in scattered),
         hot_pixels=int(np.count_nonzero(region & ~kept[0])),
+        camera=camera,
     )
 
 

@@ -121,7 +121,7 @@ def _check_outputs(outputs: list[Path], sessions: list[Path]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    if args.per_pixel or args.bin != 1:
+    if args.per_pixel or args.bin != 1 or args.scheduler is not None:
         return fit_per_pixel.run(args)
     if any(path.is_file() for path in args.session):
         return _fit_table(args)

@@ -1,8 +1,12 @@
-"""`phoslab fit SESSION --per-pixel -o maps`: a folder with a material that varies over its surface."""
+"""`phoslab fit SESSION --per-pixel -o maps`: a folder with a material that varies over its surface.
+
+One for each of several sessions, on this machine or on the workers of a dask scheduler.
+"""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import tempfile
@@ -12,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from phoslab.fitting.engine import Fits
     from phoslab.fitting.pixel_maps import PixelMaps
 
 _LARGEST_PREVIEW = 1600
@@ -25,6 +30,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="fit every pixel by itself, and write a folder (-o) with a material.json, the maps that it names, and a "
         "report; the number of states is that of the whole sample",
+    )
+    maps.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="fit on the workers of a dask scheduler that runs already, such as tcp://127.0.0.1:8786; beyond this "
+        "machine only tls://",
     )
     maps.add_argument(
         "--bin",
@@ -42,60 +53,103 @@ def _side(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit the whole sample, then every pixel; write the folder, whole or not at all."""
+    """Fit each sample as a whole, then every pixel; write a folder for each, whole or not at all."""
     from phoslab.errors import PhoslabError
-    from phoslab.files import check_writable, umask
 
     if not args.per_pixel:
-        raise PhoslabError("is for maps", field="--bin", remedy="Add --per-pixel, or leave it out.")
-    if len(args.session) != 1:
+        field = "--scheduler" if args.scheduler else "--bin"
+        raise PhoslabError("is for maps", field=field, remedy="Add --per-pixel, or leave it out.")
+    targets = _targets(args)
+    summaries = []
+    with _engine(args.scheduler) as engine:
+        for path, folder in targets.items():
+            maps = _made(args, path, folder, engine)
+            if args.json:
+                summaries.append(_summary(maps, folder))
+            else:
+                print(maps.report())
+                print(f"Wrote {folder} with {', '.join(sorted(p.name for p in folder.iterdir()))}")
+    if args.json:
+        print(json.dumps(summaries[0] if len(summaries) == 1 else summaries))
+    return 0
+
+
+def _targets(args: argparse.Namespace) -> dict[Path, Path]:
+    """Return the folder of maps for each session, or folder of sessions; refuse what cannot be written."""
+    from phoslab.errors import PhoslabError
+    from phoslab.files import check_writable
+
+    for path in args.session:
+        if path.is_file():
+            raise PhoslabError(
+                "is a table, which has no pixels",
+                file=path,
+                remedy="Name the folder of a decay session.",
+            )
+    if args.preset is None and args.lvf is None and not any(_is_campaign(p) for p in args.session):
         raise PhoslabError(
-            f"names {len(args.session)} sessions",
-            field="--per-pixel",
-            remedy="Name one decay session: maps of two do not lie on each other.",
+            "is missing",
+            field="--preset",
+            remedy="Name the material that lends excitation rates and spectrum (see `phoslab presets`); or a folder of "
+            "sessions in which they were measured, with --lvf.",
         )
-    if args.session[0].is_file():
-        raise PhoslabError(
-            "is a table, which has no pixels",
-            file=args.session[0],
-            remedy="Name the folder of a decay session.",
-        )
-    for option, name, what in (
-        (
-            "preset",
-            "--preset",
-            "Name the material that lends excitation rates and spectrum: see `phoslab presets`.",
-        ),
-        ("output", "-o", "Name the folder to write."),
-    ):
-        if getattr(args, option) is None:
-            raise PhoslabError("is missing", field=name, remedy=what)
+    if args.output is None:
+        raise PhoslabError("is missing", field="-o", remedy="Name the folder to write.")
     if args.report is not None:
         raise PhoslabError(
             "is written into the folder of the maps",
             field="--report",
             remedy="Leave it out with --per-pixel.",
         )
-    folder = args.output
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise PhoslabError("is not a folder", file=folder, remedy="Name a new folder for the maps.")
-    if folder.is_dir() and any(folder.iterdir()):
-        raise PhoslabError("holds something already", file=folder, remedy="Name a new folder for the maps.")
-    if folder.resolve().is_relative_to(args.session[0].resolve()):
+    several = len(args.session) > 1
+    targets = {p: args.output / p.resolve().name if several else args.output for p in args.session}
+    if len(set(targets.values())) < len(args.session):
         raise PhoslabError(
-            "lies in the session, which is never written to", file=folder, remedy="Name a folder elsewhere."
+            "have the same name, by which their folders of maps are told apart",
+            field="two sessions",
+            remedy="Fit them one by one, each with its own -o.",
         )
-    check_writable(folder / "material.json")
+    for path, folder in targets.items():
+        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+            raise PhoslabError("is not a folder", file=folder, remedy="Name a new folder for the maps.")
+        if folder.is_dir() and any(folder.iterdir()):
+            raise PhoslabError(
+                "holds something already", file=folder, remedy="Name a new folder for the maps."
+            )
+        if folder.resolve().is_relative_to(path.resolve()):
+            raise PhoslabError(
+                "lies in the session, which is never written to",
+                file=folder,
+                remedy="Name a folder elsewhere.",
+            )
+        check_writable(folder / "material.json")
+    return targets
+
+
+def _is_campaign(path: Path) -> bool:
+    return path.is_dir() and not (path / "session.toml").exists()
+
+
+def _engine(address: str | None) -> contextlib.AbstractContextManager[Fits]:
+    from phoslab.fitting import engine
+
+    return contextlib.nullcontext(engine.here) if address is None else engine.on_scheduler(address)
+
+
+def _made(args: argparse.Namespace, path: Path, folder: Path, engine: Fits) -> PixelMaps:
+    """Fit one, and put its folder there at once."""
+    from phoslab.errors import PhoslabError
+    from phoslab.files import umask
+
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".phoslab-", dir=folder.parent) as scratch:
-            maps = _fit(args, Path(scratch))
+            maps = _fit(args, path, Path(scratch), engine)
             # A folder of its own, so that a rename puts all of it there at once.
             made = Path(scratch) / "maps"
             made.mkdir()
             _write(maps, made)
             made.chmod(0o777 & ~umask())
-            written = sorted(path.name for path in made.iterdir())
             made.replace(folder)
     except OSError as error:
         raise PhoslabError(
@@ -103,29 +157,26 @@ def run(args: argparse.Namespace) -> int:
             file=folder,
             remedy="Check the disk and its free space.",
         ) from error
-    if args.json:
-        print(json.dumps(_summary(maps, folder)))
-    else:
-        print(maps.report())
-        print(f"Wrote {folder} with {', '.join(written)}")
-    return 0
+    return maps
 
 
-def _fit(args: argparse.Namespace, scratch: Path) -> PixelMaps:
+def _fit(args: argparse.Namespace, path: Path, scratch: Path, engine: Fits) -> PixelMaps:
     from phoslab.app.progress import progress_bar
     from phoslab.fitting import fit_session
+    from phoslab.fitting.gather import gather
     from phoslab.fitting.pixel_maps import fit_maps
-    from phoslab.session import Session
 
-    session = Session.open(args.session[0])
+    session = gather([path]).get("decay")
     with progress_bar("the sample as a whole", quiet=args.json) as progress:
         whole = fit_session(
-            args.session,
+            [path],
+            lvf=args.lvf,
             preset=args.preset,
             states=args.states if args.states == "auto" else int(args.states),
             name=args.name,
             progress=progress,
         )
+    assert session is not None  # fit_session has refused it
     # One bar, in percent: frames are the first half, rows of pixels the second.
     with progress_bar("its pixels", quiet=args.json) as percent:
         return fit_maps(
@@ -133,6 +184,7 @@ def _fit(args: argparse.Namespace, scratch: Path) -> PixelMaps:
             whole,
             scratch,
             side=args.bin,
+            engine=engine,
             decoded=lambda done, total: percent(50 * done // total, 100),
             fitted=lambda done, total: percent(50 + 50 * done // total, 100),
         )

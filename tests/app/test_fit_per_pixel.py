@@ -90,7 +90,8 @@ def test_a_scene_renders_with_the_maps_and_shows_the_star_upright(folder, tmp_pa
         ("TABLE --preset green -o OUT", "is a table, which has no pixels"),
         ("SESSION -o OUT", "--preset is missing"),
         ("SESSION --preset green", "-o is missing"),
-        ("SESSION SESSION --preset green -o OUT", "names 2 sessions"),
+        ("SESSION SESSION/. --preset green -o OUT", "two sessions have the same name"),
+        ("SESSION --preset green -o OUT --scheduler tcp://192.0.2.7:8786", "unencrypted"),
         ("SESSION --preset green -o FULL", "holds something already"),
         ("SESSION --preset green -o TABLE", "is not a folder"),
         ("SESSION --preset green -o INSIDE", "never written to"),
@@ -107,6 +108,7 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing_behind(arguments, said, 
     places = {
         "TABLE": tmp_path / "table.csv",
         "SESSION": session,
+        "SESSION/.": session.parent / "green" / ".." / session.name,
         "OUT": tmp_path / "out",
         "FULL": tmp_path / "full",
         "INSIDE": session / "maps",
@@ -115,6 +117,30 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing_behind(arguments, said, 
     assert said in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == before
     assert not (session / "maps").exists()
+
+
+def test_several_sessions_get_a_folder_each_and_workers_give_the_same_maps(folder, session, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="pip install phoslab[campaign]")
+    for name in ("a", "b"):
+        shutil.copytree(session, tmp_path / name)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        arguments = [*FIT, "--scheduler", cluster.scheduler_address, "-o", str(tmp_path / "maps")]
+        assert main(["fit", str(tmp_path / "a"), str(tmp_path / "b"), *arguments]) == 0
+    assert sorted(p.name for p in (tmp_path / "maps").iterdir()) == ["a", "b"]
+    for name in ("kr.exr", "amplitude_error.exr", "quality.exr"):
+        assert (tmp_path / "maps" / "b" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_a_folder_of_sessions_lends_its_own_spectrum_rates_and_shading(session, tmp_path, capsys):
+    """Nothing is borrowed, and the lens's falloff, which the calibration's flats have told, is taken out."""
+    sessions = session.parent / "green"
+    arguments = ["--per-pixel", "--lvf", str(sessions / "lvf.json"), "--bin", "4", "--json"]
+    assert main(["fit", str(sessions), *arguments, "-o", str(tmp_path / "maps")]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert not any("falloff" in w for w in said["warnings"])
+    material = Material.load(said["material"])
+    assert material.reference_irradiance is not None
+    assert material.provenance["settings"]["preset"] is None
 
 
 def test_pixels_are_averaged_for_maps_only(session, tmp_path, capsys):
