@@ -131,7 +131,7 @@ def _version() -> str:
 def _remote(
     client: Client, n_threads: int, problem: PixelProblem, strips: Iterable[Pixels]
 ) -> Iterator[PixelFits]:
-    on_the_way: deque[Future] = deque()
+    on_the_way: deque[Future[PixelFits]] = deque()
     for y in strips:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Sending large graph")  # that is what it is for
@@ -143,7 +143,7 @@ def _remote(
         yield _taken(on_the_way.popleft())
 
 
-def _taken(future: Future) -> PixelFits:
+def _taken(future: Future[PixelFits]) -> PixelFits:
     from distributed import CancelledError
     from distributed.scheduler import KilledWorker
 

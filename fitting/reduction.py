@@ -79,11 +79,11 @@ def reduce_decay(
     regions = [region] if around is None else [region, around]
     n_all = len(frames) + len(dark_frames)
     dark_means, found = regions_means(
-        dark_frames, regions, find_hot=True, progress=_counted(progress, 0, n_all)
+        dark_frames, regions, find_hot=True, n_noise=1, progress=_counted(progress, 0, n_all)
     )
     hot = _repeated(found)
     kept = [_without(mask, hot) for mask in regions]
-    lights, _ = regions_means(frames, kept, progress=_counted(progress, len(dark_frames), n_all))
+    lights, _ = regions_means(frames, kept, n_noise=1, progress=_counted(progress, len(dark_frames), n_all))
     dark_of = _average_darks(dark_frames, [m[0] for m in dark_means], camera)
     dark_around = _average_darks(dark_frames, [m[-1] for m in dark_means], camera)
 

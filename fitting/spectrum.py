@@ -306,7 +306,7 @@ def _smoothed_away(pull: Array) -> Array:
     """
     near = np.exp(-0.5 * ((NM[:, None] - NM) / BENDS_NM) ** 2)
     size = np.sqrt(near @ pull**2 / near.sum(axis=1))
-    return size[:, None] * near * size
+    return np.asarray(size[:, None] * near * size)
 
 
 def _evenness(path: Path, calibration: Calibration) -> tuple[Array | None, list[str]]:

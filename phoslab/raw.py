@@ -171,6 +171,7 @@ def regions_means(
     regions: Sequence[NDArray[np.bool_]],
     *,
     find_hot: bool = False,
+    n_noise: int | None = None,
     workers: Workers | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[list[tuple[RegionMeans, ...]], list[NDArray[np.int64]]]:
@@ -180,6 +181,7 @@ def regions_means(
         frames: the session's frames.
         regions: masks (h, w), the same for all frames.
         find_hot: for dark frames: also find pixels that stand out, and leave them out of the means.
+        n_noise: of how many regions, from the first, the variance is wanted, which takes most of the time; all.
         progress: called with (frames done, frames in all).
 
     Returns:
@@ -192,6 +194,7 @@ def regions_means(
         "masks": np.stack([np.packbits(region) for region in regions]),
         "mask_shape": list(regions[0].shape),
         "find_hot": find_hot,
+        "n_noise": len(regions) if n_noise is None else n_noise,
     }
     paths = [frame.path for frame in frames]
     answers = decoded("phoslab.raw_worker:job_regions", paths, parameters, workers, progress)
