@@ -63,6 +63,40 @@ def display_srgb(xyz: ArrayLike, exposure: float) -> Array:
     return np.asarray(eotf_inverse_sRGB(np.clip(grey + np.clip(keep, 0, 1) * (rgb - grey), 0.0, 1.0)))
 
 
+def display_bytes(xyz: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
+    """Return `display_srgb` of (..., 3) XYZ in 256 steps, a tenth of a step off at most before it is rounded.
+
+    In float32 and with the display's curve from a table: a film has no time for powers.
+    """
+    x, y, z = (xyz[..., k] * np.float32(exposure) for k in range(3))
+    m = xyz_to_linear_srgb().astype(np.float32)
+    r, g, b = (x * m[0, k] + y * m[1, k] + z * m[2, k] for k in range(3))
+    grey = np.clip(y, 0.0, 1.0)
+    low, high = np.minimum(np.minimum(r, g), b), np.maximum(np.maximum(r, g), b)
+    keep = np.ones_like(grey)
+    np.divide(grey, grey - low, out=keep, where=low < 0)
+    bright = high > 1
+    if bright.any():
+        keep = np.minimum(keep, np.divide(1 - grey, high - grey, out=np.ones_like(grey), where=bright))
+    shown = np.empty(xyz.shape, np.uint8)
+    table = _display_table()
+    for k, channel in enumerate((r, g, b)):
+        linear = np.clip(grey + keep * (channel - grey), 0.0, 1.0)
+        shown[..., k] = table[(linear * _LAST + np.float32(0.5)).astype(np.uint16)]
+    return shown
+
+
+_LAST = np.float32(65535)
+
+
+@cache
+def _display_table() -> NDArray[np.uint8]:
+    """The display's curve at 65,536 values of light: where it is steepest, in the dark, 20 of them make a step."""
+    from colour.models import eotf_inverse_sRGB
+
+    return np.asarray(np.round(eotf_inverse_sRGB(np.linspace(0.0, 1.0, 65536)) * 255), dtype=np.uint8)
+
+
 @cache
 def _reflectance_basis(bands: Bands) -> Array:
     import colour

@@ -11,7 +11,7 @@ from types import TracebackType
 
 import numpy as np
 
-from phoslab.colorimetry import display_srgb
+from phoslab.colorimetry import display_bytes
 from phoslab.errors import PhoslabError
 from phoslab.files import replacing
 from phoslab.render.frame import Frame
@@ -99,7 +99,7 @@ class Film:
         self._shown += 1
         self._black += darkness(frame, exposure) is not None
         self._warnings |= dict.fromkeys(frame.warnings)
-        rgb = np.round(display_srgb(frame.xyz, exposure) * 255).astype(np.uint8)
+        rgb = display_bytes(frame.xyz, exposure)
         rgb = np.pad(rgb, ((0, rgb.shape[0] % 2), (0, rgb.shape[1] % 2), (0, 0)), mode="edge")
         picture = av.VideoFrame.from_ndarray(rgb, format="rgb24")
         self._container.mux(self._stream.encode(picture))

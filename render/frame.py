@@ -38,4 +38,5 @@ class Frame:
     @cached_property
     def xyz(self) -> NDArray[np.float32]:
         """(h, w, 3) CIE 1931 XYZ; Y in cd/m² in an absolute scene."""
-        return (self.radiance.astype(np.float64) @ xyz_matrix(self.bands)).astype(np.float32)
+        # What float32 cannot hold of a product is far below a pixel's other errors.
+        return self.radiance @ xyz_matrix(self.bands).astype(np.float32)

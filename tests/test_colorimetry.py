@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from phoslab import spectra
 from phoslab.bands import Bands
-from phoslab.colorimetry import display_srgb, reflectance_from_rgb, xyz_matrix
+from phoslab.colorimetry import display_bytes, display_srgb, reflectance_from_rgb, xyz_matrix
 from phoslab.photometry import luminance
 
 FINE = Bands.uniform(300, 380, 780)
@@ -75,3 +78,14 @@ def test_a_saturated_glow_in_gamut_range_keeps_its_luminance():
     linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
     # Rec. 709 luminance weights of linear sRGB, to their four published digits.
     assert linear @ [0.2126, 0.7152, 0.0722] == pytest.approx(0.5, abs=1e-3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    xyz=arrays(np.float32, (7, 3), elements=st.floats(0, 4, width=32)),
+    exposure=st.sampled_from([1e-3, 0.5, 1.0, 30.0]),
+)
+def test_a_films_bytes_are_the_displays_to_a_tenth_of_a_step(xyz, exposure):
+    """One of 65,536 steps of light is 1/20 of one of 256 where the curve is steepest; float32 adds less."""
+    exact = display_srgb(xyz.astype(float), exposure) * 255
+    assert np.abs(display_bytes(xyz, exposure) - exact).max() <= 0.5 + 0.1
