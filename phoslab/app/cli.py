@@ -10,8 +10,11 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from phoslab import __version__
 from phoslab.errors import PhoslabError, printable
@@ -63,9 +66,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # processor. NumPy reads this when it is first imported, by the command.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        args = build_parser().parse_args(arguments)
-        code: int = args.run(args)
-        sys.stdout.flush()
+        with _asked_to_end():
+            args = build_parser().parse_args(arguments)
+            code: int = args.run(args)
+            sys.stdout.flush()
         return code
     except PhoslabError as error:
         _say(str(error))
@@ -86,6 +90,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "This is a bug in phoslab: set PHOSLAB_TRACEBACK=1, run again and report what it prints."
         )
     return FAILED
+
+
+@contextmanager
+def _asked_to_end() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does: files are whole or absent, and processes end with it."""
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            # What somebody ignores (nohup) stays ignored.
+            if signal.getsignal(number) == signal.SIG_DFL:
+                before[number] = signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _open_streams() -> None:

@@ -1,6 +1,11 @@
 """Trades: what is measured, and what is written down."""
 
 import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -201,3 +206,35 @@ def test_what_answers_to_noise_is_taken_off_a_bias_without_moving_it():
     # Rates that are wrong by a constant stay so.
     bias, _ = draws.bias(calm, lambda d: 1.05 * fit_draws.our_rates(d), 12)
     assert bias == pytest.approx(0.05, abs=2e-3)
+
+
+def test_a_trade_that_is_asked_to_end_takes_its_workers_along(tmp_path):
+    """By SIGTERM, as a shutdown sends it to one process alone."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "phoslab", "trade", "fit", "--quick", "-o", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    end = time.monotonic() + 60
+    while len(workers := children.read_text().split()) < 2:
+        assert time.monotonic() < end
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(signal.SIGTERM)
+    told, _ = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "interrupted; nothing half-written was left" in told
+    end = time.monotonic() + 10
+    while any(runs(worker) for worker in workers):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def runs(pid: str) -> bool:
+    """Whether a process is there and not only waits for its end to be noticed."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False

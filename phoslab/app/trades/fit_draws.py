@@ -12,7 +12,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from typing import TypeVar
 
 import numpy as np
@@ -241,8 +241,13 @@ def draws_on_every_core(tick: Callable[[int], None]) -> Iterator[Draws]:
     if cores == 1:
         yield Draws(None, tick)
         return
-    with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as executor:
-        try:
-            yield Draws(executor, tick)
-        finally:
-            executor.shutdown(cancel_futures=True)
+    executor = ProcessPoolExecutor(cores, mp_context=get_context("spawn"))
+    try:
+        yield Draws(executor, tick)
+    except BaseException:
+        # What they are at takes seconds that nobody waits for.
+        for worker in active_children():
+            worker.terminate()
+        executor.shutdown(wait=False, cancel_futures=True)
+        raise
+    executor.shutdown(cancel_futures=True)
