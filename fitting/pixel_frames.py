@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from phoslab.errors import PhoslabError
 from phoslab.fitting.compiled import compiled
 from phoslab.fitting.measured_camera import MeasuredCamera
+from phoslab.fitting.register import Register
 from phoslab.raw import check_settings, decoded
 from phoslab.raw_worker import SATURATED
 from phoslab.session import Frame, Session
@@ -52,6 +53,8 @@ class PixelFrames:
         scale: (n_frames,) from DN to signal a second at ISO 100 and f/1.
         hot: (h, w) pixels to leave out.
         total: (h / cell, w / cell) DN above dark of each cell, all frames together.
+        moved_px: (n_frames, 2) by how much each frame lay (down, right) of the first, in pixels of the sensor, before
+            it was moved back by whole cells; NaN where the picture was not recognised: taken to lie as the one before.
     """
 
     file: Path
@@ -65,6 +68,7 @@ class PixelFrames:
     scale: Array
     hot: NDArray[np.bool_]
     total: Pixels
+    moved_px: Array
 
     @property
     def pixels_a_colour(self) -> Array:
@@ -183,6 +187,9 @@ def _store(
         )
     brightness = np.zeros((h // cell, w // cell), np.float32)
     colours, limit = np.zeros((2, 2), np.int64), np.zeros((2, 2))
+    register: Register | None = None
+    back: tuple[int, ...] = (0, 0)
+    sensor_hot, moved = hot.copy(), np.full((n, 2), np.nan)
     with file.open("wb") as stream:
         os.truncate(stream.fileno(), needed)
         for k, (frame, answer) in enumerate(answers(frames)):
@@ -191,12 +198,21 @@ def _store(
             if k == 0:
                 colours[:] = np.where(cfa == 3, 1, cfa)
                 limit[:] = (answer["black"] + SATURATED * (answer["white"] - answer["black"]))[cfa]
+            finest = _cell_sums(values, 2)
+            register = register or Register(finest)
+            shift = register.shift(finest)
+            if shift is not None:
+                moved[k] = 2 * np.array(shift)
+                back = tuple(-cell * round(d / cell) for d in moved[k])
+            if any(back):
+                # By whole cells, so that pixels keep their colours. Where hot ones come to lie is left out in all.
+                values = np.roll(values, back, (0, 1))
+                hot |= np.roll(sensor_hot, back, (0, 1))
             for s, top in enumerate(range(0, h, strip_rows)):
                 stream.seek(2 * (s * n + k) * strip_rows * w)
                 stream.write(values[top : top + strip_rows].data)
-            sums = np.add.reduceat(values, np.arange(0, h, cell), axis=0, dtype=np.uint32)
-            sums = np.add.reduceat(sums, np.arange(0, w, cell), axis=1, dtype=np.uint32)
-            brightness += sums - np.float32(levels[frame.exposure_s, frame.iso].mean() * cell**2)
+            dark = np.float32(levels[frame.exposure_s, frame.iso].mean() * cell**2)
+            brightness += _cell_sums(values, cell) - dark
     return PixelFrames(
         file=file,
         shape=(h, w),
@@ -209,7 +225,15 @@ def _store(
         scale=scale,
         hot=hot,
         total=brightness,
+        moved_px=moved,
     )
+
+
+def _cell_sums(values: Values, cell: int) -> NDArray[np.uint32]:
+    """(h / cell, w / cell) sums over cells."""
+    h, w = values.shape
+    sums = np.add.reduceat(values, np.arange(0, h, cell), axis=0, dtype=np.uint32)
+    return np.asarray(np.add.reduceat(sums, np.arange(0, w, cell), axis=1, dtype=np.uint32))
 
 
 def _whole_cells(frame: Frame, answer: dict[str, Any], cell: int, like: NDArray[Any] | None) -> Values:

@@ -47,6 +47,7 @@ class PixelMaps:
         corner_px: (y, x) of the map's first pixel on the sensor.
         gain: DN per electron at ISO 100.
         read_dn: noise of a sensor's pixel without light, in the frames with the least and the most of it.
+        moved_px: (n_frames, 2) see `PixelFrames`.
     """
 
     whole: FitResult
@@ -56,6 +57,7 @@ class PixelMaps:
     corner_px: tuple[int, int]
     gain: float
     read_dn: tuple[float, float]
+    moved_px: Array
 
     @property
     def fitted(self) -> NDArray[np.bool_]:
@@ -98,6 +100,15 @@ class PixelMaps:
                 "Brightness is as the camera saw it: the lens's falloff towards the corners is in the emission map, "
                 "since no session of the plan 'flats' is among those named."
             )
+        lost = int(np.isnan(self.moved_px).any(axis=1).sum())
+        far = float(np.nanmax(np.abs(self.moved_px), initial=0.0))
+        if far > self.cell / 2:
+            said.append(
+                f"The picture moved by up to {far:.1f} pixels of the sensor; frames were laid on each other to half a "
+                "pixel of the maps, so that edges are less sharp than they were. Fasten camera and sample."
+            )
+        if lost:
+            said.append(f"In {lost} frames the sample is too faint to tell whether it moved.")
         for flag, share, text in (
             ("fewer", 0.02, "carry fewer states than the sample as a whole; the others are dark there"),
             ("undetermined", 0.02, "have a rate that their light does not determine: see the error maps"),
@@ -206,7 +217,7 @@ def fit_maps(
     _match_states(fits, fit.kr_per_s)
     corner = (int(top) * store.cell, int(left) * store.cell)
     read_dn = (float(store.read_dn2.min()) ** 0.5, float(store.read_dn2.max()) ** 0.5)
-    return PixelMaps(whole, fits, shape, store.cell, corner, gain, read_dn)
+    return PixelMaps(whole, fits, shape, store.cell, corner, gain, read_dn, store.moved_px)
 
 
 def electron_dn(session: Session, frames: list[Frame], whole: FitResult, store: PixelFrames) -> float:

@@ -8,7 +8,7 @@ import pytest
 from phoslab import maps
 from phoslab.errors import PhoslabError
 from phoslab.exr import read_channels
-from phoslab.fitting import fit_session
+from phoslab.fitting import fit_session, pixel_frames
 from phoslab.fitting.decay import DecayData, fit_decay
 from phoslab.fitting.pixel_decay import Flag
 from phoslab.fitting.pixel_frames import PixelFrames, stored
@@ -132,6 +132,34 @@ def test_the_temporary_file_is_gone_also_after_an_error(inlaid):
     assert not list(inlaid.folder.glob(".phoslab-*"))
 
 
+def test_frames_of_a_camera_that_moved_are_laid_on_the_first(inlaid, monkeypatch, tmp_path):
+    """From the tenth frame on 4 pixels further down and 6 to the left; half a cell of 2 pixels is 1."""
+    values_of = pixel_frames._whole_cells
+    seen = 0
+
+    def moved(frame, answer, cell, like):
+        nonlocal seen
+        values = values_of(frame, answer, cell, like)
+        seen += frame.role == "decay"
+        return np.roll(values, (4, -6), (0, 1)) if seen >= 10 else values
+
+    frames = inlaid.session.frames_of("decay")
+    with stored(inlaid.session, frames, tmp_path) as store:
+        still = np.concatenate([signal for _, signal in store.strips()])
+        assert np.abs(store.moved_px).max() < 1
+    monkeypatch.setattr(pixel_frames, "_whole_cells", moved)
+    with stored(inlaid.session, frames, tmp_path) as store:
+        again = np.concatenate([signal for _, signal in store.strips()])
+        assert np.abs(store.moved_px[:9]).max() < 1
+        assert np.abs(store.moved_px[9:] - [4.0, -6.0]).max() < 1
+    inner = np.isfinite(again[8:-8, 8:-8]) & np.isfinite(still[8:-8, 8:-8])
+    assert inner.mean() > 0.9
+    assert np.array_equal(again[8:-8, 8:-8][inner], still[8:-8, 8:-8][inner])
+    seen = 0
+    told = fit_maps(inlaid.session, inlaid.whole, tmp_path).warnings()
+    assert any("The picture moved by up to" in w for w in told)
+
+
 def test_a_disk_that_is_too_small_is_said_before_anything_is_written(inlaid, monkeypatch):
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1000))
     with pytest.raises(PhoslabError, match="GB free"):
@@ -158,6 +186,7 @@ def test_saturated_and_hot_pixels_are_left_out_and_others_averaged(tmp_path):
         scale=np.array([1.0, 0.5]),
         hot=hot,
         total=np.zeros((3, 2), np.float32),
+        moved_px=np.zeros((2, 2)),
     )
     (first, top), (second, bottom) = store.strips()
     assert (first, second, len(top), len(bottom)) == (0, 2, 2, 1)
