@@ -55,7 +55,8 @@ class Register:
         peak = np.unravel_index(int(correlation.argmax()), correlation.shape)
         if correlation[peak] < _LEAST_RESPONSE * self._largest:
             return None
-        down, right = (self._between(np.moveaxis(correlation, k, 0), peak[k], peak[1 - k]) for k in (0, 1))
+        y, x = map(int, peak)
+        down, right = self._between(correlation, y, x), self._between(correlation.T, x, y)
         return down * self._bin, right * self._bin
 
     def _spectrum(self, picture: NDArray[np.generic]) -> NDArray[np.complex128]:
