@@ -36,6 +36,9 @@ NM = np.arange(400.0, 701.0, 5.0)
 BELIEF = 0.004
 """How well a calibration describes another measurement, as a share of the signal: repeated settings, moved lights."""
 
+TOGETHER_NM = 5.0
+"""Over so much the errors of a transmission curve go together: two of its nodes."""
+
 UNEVEN, EVEN = 0.03, 0.01
 """How far a spectrum may be wrong over long stretches, as a share of it: lights hang elsewhere than the one of the
 calibration did. The second where a frame without the strip has told how evenly the scene is lit."""
@@ -229,6 +232,8 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
     step = GRID_NM[1] - GRID_NM[0]
     A = np.einsum("kn,nc,nj->kcj", np.nan_to_num(curve), seen, hats) * step
 
+    from_curves = np.zeros((curve.shape[0], 3))
+
     def equations(shift_px: float) -> tuple[Normal, Array, Array]:
         weights = calibration.reading(shift_px)
         there = np.asarray(np.isfinite(weights).all(axis=1) & np.isfinite(curve).all(axis=1))
@@ -241,15 +246,17 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
                 field="the strip",
                 remedy="Expose it shorter, and calibrate with the strip where it is now.",
             )
-        # What a curve has too much at one wavelength it lacks at the next: of a light as smooth as those that it was
-        # fitted to it says what it says of those, and `misfit` is by how much it misses them.
         belief = np.hypot(BELIEF * y, calibration.curves.misfit * y.max(axis=1, keepdims=True))  # type: ignore[union-attr]
-        total = np.hypot(noise, belief)
+        total = np.sqrt(noise**2 + belief**2 + from_curves**2)
         return Normal.of(A.reshape(-1, NM.size), y.ravel(), total.ravel()), y, total
 
     d = second_differences(NM.size)
     penalty = d.T @ d
-    shift = _shift(equations, penalty, solve(equations(0.0)[0], penalty))
+    first = solve(equations(0.0)[0], penalty)
+    # What the curves' own errors make of that spectrum; they go together over some nanometres, not over a band.
+    errors = np.nan_to_num(calibration.curves.standard_error)
+    from_curves = np.sqrt((errors**2) @ (seen * (hats @ first.x)[:, None]) ** 2 * step * TOGETHER_NM)
+    shift = _shift(equations, penalty, first)
     normal, y, total = equations(shift)
     solution = solve(normal, penalty)
     top = float(solution.x.max())
