@@ -23,8 +23,9 @@ from phoslab.errors import PhoslabError
 from phoslab.instruments.bench import rig
 from phoslab.instruments.controller import RigController, RigDoor, RigLamp
 from phoslab.instruments.devices import Clock, DeviceError, DeviceGoneError
-from phoslab.instruments.recorder import Recorder, SystemClock
+from phoslab.instruments.recorder import Recorder
 from phoslab.instruments.simulated import BenchClock, Link
+from phoslab.instruments.system_clock import SystemClock
 
 HEADER = {
     "plan": {"name": "check", "parameters": {}},
