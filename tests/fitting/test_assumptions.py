@@ -138,8 +138,8 @@ def test_a_check_session_of_the_bench_gets_its_verdicts(short_check, tmp_path, c
     assert shape["held"] is False
     assert "--lvf" in in_time["sentence"]
     assert lamp["verdict"] == "not tested"
-    # Radiance falls with 1 - 0.06 sin²θ: both are 2.3 % off their mean. A frame repeats to 0.5 %, so half a difference of
-    # two is known to 0.35 %, of which these are four.
+    # Radiance falls with 1 - 0.06 sin²θ: both are 2.3 % off their mean. A frame repeats to 0.5 %, so half a difference
+    # of two is known to 0.35 %, of which these are four.
     assert view["held"] is False
     assert view["size"] == pytest.approx(0.0225, abs=0.014)
 
