@@ -20,6 +20,7 @@ from phoslab.instruments.bench.body import Body
 from phoslab.instruments.bench.camera import CANON
 from phoslab.instruments.bench.darkroom import Darkroom
 from phoslab.instruments.bench.faults import parse
+from phoslab.instruments.bench.host import Host
 from phoslab.instruments.bench.laboratory import Laboratory
 from phoslab.instruments.bench.paints import paint
 from phoslab.instruments.bench.rig import ENDPOINTS
@@ -59,7 +60,8 @@ def main(arguments: list[str] | None = None) -> int:
         keeper = Timekeeper(folder, start, options.mono)
         room = Darkroom(options.seed, paint(options.sample), CANON.resized((h, w)), born_s=options.mono)
         body = Body(room, keeper, salt=int(start.timestamp()), card_frames=options.card_frames)
-        laboratory = Laboratory(folder, room, keeper, body, [parse(text) for text in options.fault])
+        host, faults = Host(folder, options.session), [parse(text) for text in options.fault]
+        laboratory = Laboratory(folder, room, keeper, body, host, faults)
         socket = folder / "socket"
         with Server(socket, laboratory, options.linger) as server:
             about = {"seed": options.seed, "session": options.session}

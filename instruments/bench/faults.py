@@ -25,6 +25,10 @@ KINDS = {
     "stuck-door": "the door does not move until it is repaired",
     "stuck-relay": "the lamp's relay does not open again until it is repaired",
     "clock-step": "somebody sets the wall clock an hour forward",
+    "disk-full": "the measuring program can write no frame and no line any more",
+    "ctrl-c": "somebody presses Ctrl-C",
+    "kill": "the measuring program is killed (kill -9)",
+    "second-process": "another program wants the same session and the same port",
 }
 
 _SPEC = re.compile(r"([a-z-]+)(?:@(\d+)|@(\d+(?:\.\d+)?)s)?")

@@ -11,6 +11,7 @@ import contextlib
 import json
 import os
 import select
+import signal
 import threading
 import time
 import tty
@@ -22,6 +23,7 @@ from phoslab.instruments.bench.body import CHOICES, Body
 from phoslab.instruments.bench.controller import SimulatedController
 from phoslab.instruments.bench.darkroom import Darkroom, Stage
 from phoslab.instruments.bench.faults import Fault, parse
+from phoslab.instruments.bench.host import Host
 from phoslab.instruments.bench.timekeeper import Timekeeper
 from phoslab.instruments.bench.truth import truth
 from phoslab.instruments.bench.wiring import Wiring
@@ -44,13 +46,14 @@ class Laboratory:
     Args:
         folder: where the link `port` leads to its serial port, while the cable is in.
         room, keeper, body: see there.
+        host: the program that measures.
         faults: what is going to go wrong.
     """
 
     def __init__(
-        self, folder: Path, room: Darkroom, keeper: Timekeeper, body: Body, faults: list[Fault]
+        self, folder: Path, room: Darkroom, keeper: Timekeeper, body: Body, host: Host, faults: list[Fault]
     ) -> None:
-        self._port = folder / PORT
+        self._port, self._host = folder / PORT, host
         self.room, self.keeper, self.body = room, keeper, body
         self._wiring = Wiring(room, keeper)
         self._controller = SimulatedController(self._wiring, boot=1)
@@ -70,8 +73,8 @@ class Laboratory:
 
     # --- what a host may ask ------------------------------------------------------------------
 
-    def answer(self, do: str, asked: dict[str, Any]) -> tuple[dict[str, Any], bytes | None]:
-        """Return the answer to a request, and the bytes that follow it.
+    def answer(self, do: str, asked: dict[str, Any], pid: int) -> tuple[dict[str, Any], bytes | None]:
+        """Return the answer to a request of a process, and the bytes that follow it.
 
         Raises:
             PhoslabError: it cannot be done.
@@ -95,6 +98,8 @@ class Laboratory:
         if do == "sleep_until":
             self._see_shutter_open()
         with self._lock:
+            if do == "connect":
+                self._host.connected(pid)
             return self._answer(do, asked), None
 
     def _answer(self, do: str, asked: dict[str, Any]) -> dict[str, Any]:
@@ -237,6 +242,14 @@ class Laboratory:
                 self._wiring.stick()
             case "clock-step":
                 self.keeper.set_wall(3600.0)
+            case "disk-full":
+                self._host.fill_disk()
+            case "ctrl-c":
+                self._host.send(signal.SIGINT)
+            case "kill":
+                self._host.send(signal.SIGKILL)
+            case "second-process":
+                self._host.start_rival(self._port)
 
     # --- the serial line ----------------------------------------------------------------------
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import socket
 import socketserver
+import struct
 import threading
 import time
 from pathlib import Path
@@ -57,6 +59,11 @@ class Server(socketserver.ThreadingUnixStreamServer):
 class _Connection(socketserver.StreamRequestHandler):
     server: Server
 
+    def setup(self) -> None:
+        super().setup()
+        peer = struct.Struct("3i")  # process, user, group
+        self._pid = peer.unpack(self.request.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, peer.size))[0]
+
     def handle(self) -> None:
         self.server.count(1)
         try:
@@ -77,7 +84,7 @@ class _Connection(socketserver.StreamRequestHandler):
     def _answer(self, line: bytes) -> tuple[dict[str, Any], bytes | None]:
         try:
             asked = json.loads(line)
-            answer, body = self.server.laboratory.answer(str(asked.pop("do")), asked)
+            answer, body = self.server.laboratory.answer(str(asked.pop("do")), asked, self._pid)
         except PhoslabError as error:
             said = {"problem": error.problem, "remedy": error.remedy, "field": error.field}
             return {"ok": False, "code": getattr(error, "code", ""), **said}, None

@@ -81,8 +81,8 @@ def bench_of(port: Path, socket: Path) -> Rig:
     )
 
 
-def _found(session: Path, sample: str, seed: int, faults: Sequence[str], last: str) -> tuple[Bench, str]:
-    """The bench on which a session was interrupted, or a new one, and a word about it."""
+def _found(session: Path, sample: str, seed: int, last: str) -> tuple[Bench, str]:
+    """The bench on which a session was interrupted, or a new one on which nothing goes wrong, and a word about it."""
     bench = bench_rig.serving(session)
     if bench is not None and (bench.sample, bench.seed) == (sample, seed):
         return (
@@ -90,7 +90,7 @@ def _found(session: Path, sample: str, seed: int, faults: Sequence[str], last: s
             f"goes on on the same simulated bench (process {bench.pid}), which has outlived its host",
         )
     at = datetime.fromisoformat(last) + AWAY
-    bench = bench_rig.start(sample, seed=seed, faults=tuple(faults), at=at, session=session)
+    bench = bench_rig.start(sample, seed=seed, at=at, session=session)
     return bench, (
         "the simulated bench has gone meanwhile: goes on on a new one, "
         f"whose samples have been in the dark for {AWAY.total_seconds():g} s"
@@ -109,13 +109,13 @@ def started(
         session: folder of the session, or of several.
         sample: a preset: what the sample looks like, and how long it glows.
         seed: of all that is random.
-        faults: see docs/simulation.md.
+        faults: see docs/simulation.md; of a bench that is started for a new session.
         not_before: wall time, RFC 3339, of the last line of a session that goes on.
     """
     if not_before is None:
         found = bench_rig.start(sample, seed=seed, faults=tuple(faults), session=session), ""
     else:
-        found = _found(session, sample, seed, faults, not_before)
+        found = _found(session, sample, seed, not_before)
     bench, word = found
     with bench:
         clock = BenchClock(bench.folder, Link(bench.socket))

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -314,33 +313,33 @@ def test_a_stuck_door_stops_the_plan_and_names_the_door(
     assert not lamp_is_on(lines(tmp_path / "s"))
 
 
-def test_a_disk_that_fills_up_stops_the_plan_and_a_resume_completes_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("fault", "code", "said"),
+    [
+        ("disk-full", 1, "Make room on the disk"),
+        ("ctrl-c", 1, "phoslab resume"),
+        ("kill", -signal.SIGKILL, ""),
+    ],
+)
+def test_what_ends_the_program_loses_nothing_and_a_resume_completes_the_session(
+    fault: str, code: int, said: str, tmp_path: Path
 ) -> None:
-    """The file system itself refuses a frame in its middle."""
-    from phoslab.instruments.cameras.simulated import SimulatedCamera
-
-    fetch, n_fetched = SimulatedCamera._fetch, 0
-
-    def full(self: SimulatedCamera, path: Path) -> None:
-        nonlocal n_fetched
-        n_fetched += 1
-        fetch(self, path)
-        if n_fetched == 10:
-            os.truncate(path, 1000)
-            raise OSError(28, "No space left on device", str(path))
-
-    with monkeypatch.context() as filling:
-        filling.setattr(SimulatedCamera, "_fetch", full)
-        assert measure(tmp_path / "s") == 1
-    told = capsys.readouterr().err
-    assert "No space left on device" in told
-    assert "Make room" in told
-    before = frames(tmp_path / "s")
-    assert before == on_disk(tmp_path / "s")
-    assert cli.main(["resume", str(tmp_path / "s")]) == 0
-    assert before.items() <= frames(tmp_path / "s").items()
-    fits(tmp_path / "s")
+    """With the third exposure, while the lamp warms up; processes of their own, which is what these faults end."""
+    folder = tmp_path / "s"
+    ended = decay_in_a_process(folder, "--fault", f"{fault}@3")
+    told, _ = ended.communicate(timeout=120)
+    assert ended.returncode == code, told
+    assert said in told
+    before = frames(folder)
+    assert before == on_disk(folder)  # no half of a frame
+    assert not Session.open(folder).complete
+    again = in_a_process("resume", folder)
+    told, _ = again.communicate(timeout=120)
+    assert again.returncode == 0, told
+    assert Session.open(folder).complete
+    assert before.items() <= frames(folder).items()
+    assert frames(folder) == on_disk(folder)
+    fits(folder)
 
 
 @pytest.fixture

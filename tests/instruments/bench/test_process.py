@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -22,7 +23,15 @@ from phoslab.errors import PhoslabError
 from phoslab.instruments.bench import rig
 from phoslab.instruments.controller import RigController, RigDoor, RigLamp
 from phoslab.instruments.devices import Clock, DeviceError, DeviceGoneError
+from phoslab.instruments.recorder import Recorder, SystemClock
 from phoslab.instruments.simulated import BenchClock, Link
+
+HEADER = {
+    "plan": {"name": "check", "parameters": {}},
+    "sample": {"name": "none"},
+    "camera": {"make": "a", "model": "b"},
+    "software": {"phoslab": "0"},
+}
 
 
 @pytest.fixture(scope="module")
@@ -343,6 +352,33 @@ def test_a_stuck_relay_is_an_alarm_and_the_other_relay_opens(
     assert eventually(lambda: any("ALTHOUGH" in str(alarm) for alarm in alarms), 5)
     with pytest.raises(DeviceError, match="SHINES ALTHOUGH"):
         controller.lamp.read()
+
+
+def test_a_second_process_is_refused_session_and_port_and_disturbs_neither(tmp_path: Path) -> None:
+    """It is another program on the same bench, that does what a resume does."""
+    session = tmp_path / "s"
+    with (
+        rig.start("green", session=session) as bench,
+        Recorder(session, HEADER, SystemClock()) as recorder,
+    ):
+        lab = laboratory(bench)
+        controller = RigController(bench.port, clock=lab.clock)
+        lab.camera.stage()
+        controller.lamp.stage()
+        controller.lamp.set("on").wait(5)
+        controller.lamp.allow_until(lab.clock.mono_s() + 60)
+        journal = (session / "journal.jsonl").read_bytes()
+        lab.hands.inject("second-process")
+        word = bench.folder / "rival.json"
+        assert eventually(word.exists, 30)
+        told = json.loads(word.read_text())
+        mine = f"is in use by process {os.getpid()}"
+        assert mine in told["session"]
+        assert mine in told["port"]
+        assert lab.state()["current"]  # no greeting has switched it off
+        assert (session / "journal.jsonl").read_bytes() == journal
+        recorder.note("and goes on")
+        controller.lamp.unstage()
 
 
 def test_a_step_of_the_wall_clock_leaves_the_others_alone(lab: Laboratory) -> None:
