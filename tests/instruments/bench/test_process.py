@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -323,6 +324,28 @@ def test_a_cable_that_comes_back_under_another_path_is_found_again(
     assert Path(lab.bench.port).resolve() != before
     controller.lamp.stage()
     assert controller.lamp.read()["lamp"]["value"] == "off"
+
+
+def test_a_cable_that_is_pulled_again_while_it_is_out_comes_back_all_the_same(
+    lab: Laboratory, controller: RigController
+) -> None:
+    for _ in range(2):
+        lab.hands.inject("serial-unplug")
+    assert eventually(lambda: Path(lab.bench.port).exists(), 5)
+    controller.lamp.stage()
+    assert controller.lamp.read()["lamp"]["value"] == "off"
+
+
+def test_a_bench_whose_controller_breaks_down_ends() -> None:
+    """A folder that is gone is one way: a cable cannot be plugged in again there."""
+    bench = rig.start("green")
+    lab = laboratory(bench)
+    lab.hands.inject("serial-unplug")
+    shutil.rmtree(bench.folder)
+    try:
+        assert eventually(lambda: not rig._alive(bench.pid), 10)
+    finally:
+        bench.stop()
 
 
 def test_a_stuck_door_is_an_error_until_it_is_repaired(lab: Laboratory, controller: RigController) -> None:
