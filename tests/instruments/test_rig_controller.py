@@ -236,9 +236,9 @@ def test_a_stuck_door_fails_its_status_and_can_be_set_again(
     door.stage()
     board.do("door stuck")
     with pytest.raises(DeviceError, match="door did not become open: its end switch says closed"):
-        door.set("open").wait(10)
+        door.set("open").wait(60)
     board.do("door free")
-    door.set("open").wait(10)
+    door.set("open").wait(60)
     assert door.read()["door"]["value"] == "open"
 
 
@@ -250,7 +250,7 @@ def test_a_door_of_which_nothing_is_heard_is_a_time_out_of_the_drivers_own(
     door.stage()
     board.do("door stuck")
     with pytest.raises(DeviceTimeoutError, match=r"door did not do 'DOOR OPEN' within 0\.6 s"):
-        door.set("open").wait(10)
+        door.set("open").wait(60)
 
 
 def test_a_second_process_is_told_who_has_the_port(board: BoardProcess, lamp: RigLamp) -> None:

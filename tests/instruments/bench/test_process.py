@@ -21,9 +21,10 @@ from boards import eventually
 from contracts import DoorContract, LampContract
 
 from phoslab.errors import PhoslabError
+from phoslab.instruments import rig_parts
 from phoslab.instruments.bench import rig
 from phoslab.instruments.controller import RigController, RigDoor, RigLamp
-from phoslab.instruments.devices import Clock, DeviceError, DeviceGoneError
+from phoslab.instruments.devices import Clock, DeviceError, DeviceGoneError, DeviceTimeoutError
 from phoslab.instruments.recorder import Recorder
 from phoslab.instruments.simulated import BenchClock, Link
 from phoslab.instruments.system_clock import SystemClock
@@ -359,6 +360,22 @@ def test_a_stuck_door_is_an_error_until_it_is_repaired(lab: Laboratory, controll
     controller.door.stage()
     controller.door.set("open").wait(10)
     controller.door.set("closed").wait(10)
+
+
+def test_the_doors_time_out_counts_on_the_controllers_clock_as_its_own_limit_does(
+    lab: Laboratory, controller: RigController, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which a jump sets forward here, and which a busy machine slows down under simavr."""
+    monkeypatch.setattr(rig_parts, "DOOR_S", 1.5)
+    controller.door.stage()
+    controller.door.set("closed").wait(60)
+    lab.hands.inject("stuck-door")
+    moving = controller.door.set("open")
+    assert eventually(lambda: controller.status()["drive"] == "OPEN")
+    # By the machine's clock the controller's limit of 3 s would be there first, after 1.4 s.
+    lab.clock.sleep_until(lab.clock.mono_s() + 1.6)
+    with pytest.raises(DeviceTimeoutError, match=r"door did not do 'DOOR OPEN' within 1\.5 s"):
+        moving.wait(60)
 
 
 def test_a_stuck_relay_is_an_alarm_and_the_other_relay_opens(
