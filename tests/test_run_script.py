@@ -354,7 +354,7 @@ def test_a_users_pythonpath_does_not_reach_the_environment(machine: Machine) -> 
 def test_test_runs_pytests_own_script_with_its_arguments(machine: Machine) -> None:
     machine.has("python3", PYTHON.replace('echo "python', 'echo "$PHOSLAB_EXPECT_INSTALLED ${0##*/}'))
     machine.run("test", "-k", "two words")
-    assert machine.done.splitlines()[-1] == "1 pytest -n 4 --dist worksteal -k two words"
+    assert machine.done.splitlines()[-1] == "1 pytest -n 3 --dist worksteal -k two words"
 
 
 # --- the script and the locks ---
