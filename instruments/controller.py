@@ -11,7 +11,8 @@ What goes wrong between calls (a stuck relay, a reset, a pulled cable, a lamp th
 subscribed, at once, and raised by every call from then on, until `stage`; only switching off, `stop` and `unstage`
 are never refused. Whatever it is, the lamp is not kept on any longer.
 
-Time-outs of the line are in real time. `clock` may be another: promises (`allow_until`) and readings are in its time.
+Time-outs of the line are in real time, the door's in the controller's. `clock` may be another: promises
+(`allow_until`) and readings are in its time.
 """
 
 from __future__ import annotations

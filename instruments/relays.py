@@ -33,7 +33,7 @@ from phoslab.instruments.devices import (
     Status,
 )
 from phoslab.instruments.link import open_port
-from phoslab.instruments.recorder import SystemClock
+from phoslab.instruments.system_clock import SystemClock
 
 BEAT_S = 0.5
 KEEP_S = 2.0

@@ -11,7 +11,7 @@ from phoslab.instruments import wire
 from phoslab.instruments.device_clock import DeviceClock
 from phoslab.instruments.devices import AlarmError, Clock, DeviceError
 from phoslab.instruments.link import Answer, Link, greet
-from phoslab.instruments.recorder import SystemClock
+from phoslab.instruments.system_clock import SystemClock
 
 BEAT_S = 0.5
 KEEP_S = 2.0

@@ -12,35 +12,17 @@ again, and the part begins anew, three times at most. An alarm is not mended but
 from __future__ import annotations
 
 import contextlib
-import math
-import shutil
-import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from statistics import median
-from typing import Any, Protocol
+from dataclasses import asdict
+from typing import Any
 
-import numpy as np
-
-from phoslab import raw
 from phoslab.errors import PhoslabError
-from phoslab.instruments.devices import (
-    AlarmError,
-    Camera,
-    Clock,
-    DeviceError,
-    DeviceTimeoutError,
-    Exposure,
-    Reading,
-    Status,
-)
+from phoslab.instruments.devices import AlarmError, DeviceError, Reading
 from phoslab.instruments.devices import Door as DoorDevice
 from phoslab.instruments.devices import Lamp as LampDevice
-from phoslab.instruments.history import PLAN, History, lost, reply_of
-from phoslab.instruments.interrupts import Interrupts
-from phoslab.instruments.operator import Operator, instructions
+from phoslab.instruments.history import PLAN, History, reply_of
+from phoslab.instruments.laboratory import Laboratory
+from phoslab.instruments.operator import instructions
 from phoslab.instruments.plans.steps import (
     Cold,
     Dark,
@@ -55,86 +37,17 @@ from phoslab.instruments.plans.steps import (
     Wait,
 )
 from phoslab.instruments.recorder import Recorder
+from phoslab.instruments.shooting import Shooting
+from phoslab.instruments.waiting import Waiting
 
 ATTEMPTS = 3
 """How often a part is begun in one run before the plan gives up."""
 
-GRACE_S = 10.0
-"""By how much a step may overrun before the lamp goes out."""
-
-LAMP_S, DOOR_S, CAMERA_S = 10.0, 15.0, 60.0
-"""How long lamp, door, and camera beyond its exposure, may take for what they are told."""
-
-SLICE_S = 0.25
-"""How often a wait asks whether it shall end, in s of the real clock."""
-
-LOOK_S = 5.0
-"""How often a long wait looks at the lamp, in s of the real clock."""
-
-LAGS = 5
-"""From how many shutters it is learnt how long one takes to open."""
-
-LOST_IN_A_ROW = 5
-"""So many lost frames in a row are no accident."""
-
-RETURN_S = 60.0
-"""How long a device that is gone is waited for, in s of the real clock."""
+LAMP_S, DOOR_S = 10.0, 15.0
+"""How long lamp and door may take for what they are told."""
 
 COLD_AFTER_S = 600.0
 """A light that has been off for this long has to warm up again."""
-
-DISK_RESERVE_BYTES = 16_000_000
-"""What a session needs beside its frames, and then some."""
-
-
-class Watcher(Protocol):
-    """Who looks on while a plan runs: a terminal, or nobody."""
-
-    def part(self, name: str) -> None:
-        """A part begins."""
-
-    def doing(self, text: str, until_s: float | None = None) -> None:
-        """Something begins that ends at a moment of the clock, if that is known."""
-
-    def state(self, device: str, state: str) -> None:
-        """Lamp or door are now so."""
-
-    def shot(self, role: str, shot: Shot) -> None:
-        """A frame was taken, or lost."""
-
-    def trouble(self, text: str) -> None:
-        """Something went wrong that is dealt with."""
-
-
-@dataclass
-class Laboratory:
-    """What a plan runs on.
-
-    Args:
-        lamp, door, camera, clock: see devices.py; staged by whoever made them.
-        operator: does by hand what the rig cannot.
-        watcher: looks on.
-        interrupts: says when to stop.
-        frame_bytes: size of a frame, as far as it is known.
-        stage: how the bench stands; None if nobody knows.
-    """
-
-    lamp: LampDevice
-    door: DoorDevice
-    camera: Camera
-    clock: Clock
-    operator: Operator
-    watcher: Watcher
-    interrupts: Interrupts
-    frame_bytes: int = 30_000_000
-    stage: Stage | None = None
-    warm_since_s: dict[str, float] = field(default_factory=dict)
-
-    def safe(self) -> None:
-        """Switch the lamp off and stop door and camera, whatever state they are in; raises nothing."""
-        for device in (self.lamp, self.door, self.camera):
-            with contextlib.suppress(Exception):
-                device.stop()
 
 
 class Runner:
@@ -148,14 +61,11 @@ class Runner:
 
     def __init__(self, lab: Laboratory, recorder: Recorder, history: History | None = None) -> None:
         self.lab, self.recorder, self.history = lab, recorder, history or History()
-        self._exposure: Exposure | None = None
+        self._waiting = Waiting(lab, recorder)
+        self._shooting = Shooting(self._waiting)
         self._began_s = recorder.mono_s()
         self._dark_since_s = self._began_s  # nobody knows what shone on the sample before
-        self._lamp_on = False
         self._edges = dict(self.history.states)
-        self._lags_s: deque[float] = deque(maxlen=LAGS)
-        self._lost = 0
-        self._looked = time.monotonic()
 
     def run(self, plan: Callable[[], Plan]) -> None:
         """Run to the end; a part whose devices fail is begun again.
@@ -182,8 +92,8 @@ class Runner:
     def _make_safe(self) -> None:
         """Lamp off, door and camera stopped; the lamp's edge is recorded if that can be."""
         self.lab.safe()
-        if self._lamp_on:
-            self._lamp_on, self._dark_since_s = False, self.recorder.mono_s()
+        if self._waiting.lamp_on:
+            self._waiting.lamp_on, self._dark_since_s = False, self.recorder.mono_s()
             with contextlib.suppress(PhoslabError, KeyError):
                 reading = self.lab.lamp.read()[self.lab.lamp.name]
                 if reading["value"] == "off":
@@ -244,9 +154,11 @@ class Runner:
             case Door(to):
                 return self._door(to, number)
             case Wait(duration_s, why, since_s):
-                self._wait((self.recorder.mono_s() if since_s is None else since_s) + duration_s, why)
+                self._waiting.until(
+                    (self.recorder.mono_s() if since_s is None else since_s) + duration_s, why
+                )
             case Dark(duration_s):
-                self._wait(self._dark_since_s + duration_s, "resting in the dark")
+                self._waiting.until(self._dark_since_s + duration_s, "resting in the dark")
             case Shoot():
                 return self._shoot(step, number)
         return None
@@ -256,7 +168,7 @@ class Runner:
         todo = instructions(lab.stage, wanted)
         if not todo:
             return
-        if self._lamp_on:  # no hand and no eye near it while it is on
+        if self._waiting.lamp_on:  # no hand and no eye near it while it is on
             self._switch("off")
         arguments = {**asdict(wanted), "instructions": todo, "step": number}
         command = self.recorder.command("hand", "place", arguments)
@@ -295,16 +207,16 @@ class Runner:
         for first in (True, False):
             command = self.recorder.command(kind, "set", {"to": to, "step": number})
             try:
-                at_s: float = self._answered(command, act)
+                at_s: float = self.recorder.answered(command, act)
             except AlarmError:
                 raise
             except DeviceError as error:
-                if self._lamp_on or to == "on":
+                if self._waiting.lamp_on or to == "on":
                     raise
                 if not first:
                     raise AlarmError(error.problem, remedy=error.remedy, field=error.field) from error
                 self.lab.watcher.trouble(str(error))
-                self._return_of(device)
+                self.lab.return_of(device)
                 continue
             self._acknowledge(command, number, {"at_mono_s": round(at_s, 6)})
             return at_s
@@ -314,8 +226,8 @@ class Runner:
         lab = self.lab
         on = to == "on"
         if on:
-            self._allow(LAMP_S)
-        self._until_done(lab.lamp.set("on" if on else "off"), LAMP_S)
+            self._waiting.allow(LAMP_S, switching=True)
+        self._waiting.for_status(lab.lamp.set("on" if on else "off"), LAMP_S)
         reading = lab.lamp.read()[lab.lamp.name]
         if reading["value"] != to:
             raise AlarmError(
@@ -324,16 +236,16 @@ class Runner:
                 remedy="Pull its plug; then look for a stuck relay or a dead lamp.",
             )
         at_s = self._edge("lamp", to, reading)
-        if self._lamp_on or on:
+        if self._waiting.lamp_on or on:
             self._dark_since_s = self.recorder.mono_s()
             lab.warm_since_s["lamp"] = lab.clock.mono_s()
-        self._lamp_on = on
+        self._waiting.lamp_on = on
         return at_s
 
     def _swing(self, to: str) -> float:
         lab = self.lab
-        self._allow(DOOR_S)
-        self._until_done(lab.door.set("open" if to == "open" else "closed"), DOOR_S)
+        self._waiting.allow(DOOR_S)
+        self._waiting.for_status(lab.door.set("open" if to == "open" else "closed"), DOOR_S)
         reading = lab.door.read()[lab.door.name]
         if reading["value"] != to:
             raise DeviceError(
@@ -358,186 +270,12 @@ class Runner:
     # ---- frames
 
     def _shoot(self, step: Shoot, number: int) -> Shot:
-        can_be_lost = step.late_s is not None
-        for last in (False, True):
-            try:
-                shot = self._expose(step, number)
-            except AlarmError:
-                raise
-            except DeviceError as error:
-                self.lab.watcher.trouble(str(error))
-                self.recorder.note(f"a frame ({step.role}) was lost: {error}")
-                self._lost += 1
-                if self._lost >= LOST_IN_A_ROW or (last and not can_be_lost):
-                    raise
-                self._restage_camera()
-                if can_be_lost:
-                    self.lab.watcher.shot(step.role, lost(step))
-                    return lost(step)
-                continue
-            self._lost = 0
-            return shot
-        raise AssertionError("unreachable")
-
-    def _expose(self, step: Shoot, number: int) -> Shot:
-        """Have all ready beforehand, wait for the moment, take the frame."""
-        lab, exposure = self.lab, step.exposure
-        self._check_lamp()
-        self._check_disk()
-        self._allow(exposure.exposure_s + CAMERA_S)
-        if exposure != self._exposure:
-            command = self.recorder.command("camera", "set", asdict(exposure))
-            self._exposure = None
-            self._answered(command, lambda: self._until_done(lab.camera.set(exposure), CAMERA_S))
-            self.recorder.ack(command, ok=True)
-            self._exposure = exposure
-        command = self.recorder.command("camera", "capture", {**asdict(exposure), "step": number})
-        if step.at_s is not None:
-            # The median: one shutter that opened late does not make the next one open early.
-            lag_s = median(self._lags_s) if self._lags_s else 0.0
-            self._wait(step.at_s - lag_s, f"until the next frame ({step.role})")
-            late_s = self.recorder.mono_s() - step.at_s
-            if step.late_s is not None and late_s > max(step.late_s, 0.1):
-                reply = f"left out: its moment passed {late_s:.1f} s ago"
-                self.recorder.ack(command, ok=False, reply=reply)
-                lab.watcher.trouble(f"a frame ({step.role}) is {reply}")
-                return lost(step)
-        self._allow(exposure.exposure_s + CAMERA_S)
-        lab.watcher.doing(
-            f"exposing {exposure.exposure_s:g} s ({step.role})", lab.clock.mono_s() + exposure.exposure_s
-        )
-        shot: Shot = self._answered(command, lambda: self._frame(step))
-        self._acknowledge(command, number, reply_of(shot))
-        lab.watcher.shot(step.role, shot)
+        shot = self._shooting.shoot(step, number)
+        if shot.frame is not None:
+            self._answers[number] = reply_of(shot)
         return shot
 
-    def _frame(self, step: Shoot) -> Shot:
-        lab, exposure = self.lab, step.exposure
-        triggered_s = self.recorder.mono_s()
-        self._until_done(lab.camera.trigger(), exposure.exposure_s + CAMERA_S)
-        start = lab.camera.read()["start"]
-        start_s = min(float(start["value"]) + self.recorder.offset_s, self.recorder.mono_s())
-        uncertainty = lab.camera.read().get("start_uncertainty")
-        name = self.recorder.frame(
-            self._save,
-            role=step.role,
-            at_mono_s=start_s,
-            at_device_s=start["device_s"],
-            exposure_s=exposure.exposure_s,
-            iso=exposure.iso,
-            f_number=exposure.f_number,
-            planned_mono_s=step.at_s,
-            start_uncertainty_s=None if uncertainty is None else float(uncertainty["value"]),
-            suffix=lab.camera.suffix,
-        )
-        self._lags_s.append(min(max(start_s - triggered_s, 0.0), 1.0))
-        path = self.recorder.path / "frames" / name
-        lab.frame_bytes = max(path.stat().st_size, lab.frame_bytes if lab.frame_bytes < 10_000_000 else 0)
-        level, saturated = measure_level(path)
-        return Shot(name, exposure, start_s, level, saturated)
-
-    def _save(self, path: Path) -> None:
-        """Fetch the frame; a camera keeps it until that has worked."""
-        for remaining in (2, 1, 0):
-            self._allow(CAMERA_S)
-            try:
-                self.lab.camera.save(path)
-                return
-            except DeviceError as error:
-                if not remaining:
-                    raise
-                self.lab.watcher.trouble(str(error))
-                self._sleep(self.recorder.mono_s() + 0.5)
-            except OSError as error:
-                raise PhoslabError(
-                    f"could not be written ({error.strerror or error})",
-                    file=path,
-                    remedy="Make room on the disk, then go on with phoslab resume.",
-                ) from error
-
-    def _restage_camera(self) -> None:
-        self._exposure = None
-        self._return_of(self.lab.camera)
-
-    # ---- waiting, and what goes wrong
-
-    def _wait(self, until_s: float, why: str) -> None:
-        if until_s > self.recorder.mono_s():
-            self.lab.watcher.doing(why, until_s - self.recorder.offset_s)
-            self._sleep(until_s)
-
-    def _sleep(self, until_s: float) -> None:
-        """Wait in slices, between which a signal is heard and the lamp's promise renewed."""
-        lab, slice_s = self.lab, SLICE_S
-        while (left_s := until_s - self.recorder.mono_s()) > 0:
-            lab.interrupts.check()
-            if left_s > 2.0 and time.monotonic() - self._looked > LOOK_S:
-                self._check_lamp()  # a relay that sticks hours before the next frame must not wait for it
-            step_s = min(left_s, slice_s)
-            self._allow(step_s)
-            before_s = time.monotonic()
-            lab.clock.sleep_until(lab.clock.mono_s() + step_s)
-            if time.monotonic() - before_s < step_s / 4:
-                slice_s *= 8  # a simulated clock jumps, and should not have to do so in small steps
-        lab.interrupts.check()
-
-    def _until_done(self, status: Status, at_most_s: float) -> None:
-        """Wait for a status; the time-out counts on the real clock, since something real has to answer."""
-        end_s = time.monotonic() + at_most_s
-        while not status.done and time.monotonic() < end_s:
-            status.exception(timeout=SLICE_S)
-            self.lab.interrupts.check()
-        if not status.done:
-            raise DeviceTimeoutError(status.device, status.command, at_most_s)
-        status.wait(0)
-
-    def _allow(self, at_least_s: float) -> None:
-        if self._lamp_on or at_least_s == LAMP_S:
-            self.lab.lamp.allow_until(self.lab.clock.mono_s() + at_least_s + GRACE_S)
-
-    def _check_lamp(self) -> None:
-        """The lamp must be what the plan thinks it is; a lamp that is off may be out of reach for a while."""
-        lamp = self.lab.lamp
-        self._looked = time.monotonic()
-        try:
-            now = lamp.read()[lamp.name]["value"]
-        except AlarmError:
-            raise
-        except DeviceError as error:
-            if self._lamp_on:
-                raise
-            # A frame needs the camera only, and a fading light does not wait.
-            self.lab.watcher.trouble(str(error))
-            with contextlib.suppress(PhoslabError):
-                lamp.stage()
-            return
-        if (now == "on") != self._lamp_on:
-            kind = AlarmError if now == "on" else DeviceError
-            raise kind(
-                f"is {now} although the plan has switched it {'on' if self._lamp_on else 'off'}",
-                field=lamp.name,
-                remedy="Pull its plug, then look for a stuck relay."
-                if now == "on"
-                else "Something switched it off: its controller was reset, or a limit was reached.",
-            )
-
-    def _check_disk(self) -> None:
-        free = shutil.disk_usage(self.recorder.path).free
-        if free < 2 * self.lab.frame_bytes:
-            raise PhoslabError(
-                f"has {free / 1e6:.0f} MB free, too little for another frame",
-                field="the disk",
-                file=self.recorder.path,
-                remedy="Make room, then go on with phoslab resume.",
-            )
-
-    def _answered(self, command: int, act: Callable[[], Any]) -> Any:
-        """Do something for a command; if it fails, acknowledge that before the error goes on."""
-        try:
-            return act()
-        except DeviceError as error:
-            self.recorder.ack(command, ok=False, reply=str(error))
-            raise
+    # ---- what goes wrong
 
     def _acknowledge(self, command: int, number: int, reply: Any) -> None:
         self.recorder.ack(command, ok=True, reply=reply)
@@ -549,29 +287,9 @@ class Runner:
         self.recorder.note(f"the part {part!r} failed and begins again: {error}")
         lab.watcher.trouble(f"{error} ({part!r} begins again)")
         self._make_safe()
-        self._exposure, self._lost = None, 0
+        self._shooting.begin_anew()
         for device in (lab.lamp, lab.door, lab.camera):
-            self._return_of(device)
-
-    def _return_of(self, device: LampDevice | DoorDevice | Camera) -> None:
-        """Stage a device again; wait for one that is gone.
-
-        Raises:
-            PhoslabError: it did not come back.
-        """
-        end_s = time.monotonic() + RETURN_S
-        while True:
-            self.lab.interrupts.check()
-            try:
-                device.stage()
-                return
-            except AlarmError:
-                raise
-            except PhoslabError as error:  # not only a DeviceError: a port that is not there is none
-                if time.monotonic() > end_s:
-                    raise
-                self.lab.watcher.trouble(f"waiting for the {device.name}: {error}")
-                time.sleep(0.5)
+            lab.return_of(device)
 
 
 class _PartError(Exception):
@@ -580,42 +298,3 @@ class _PartError(Exception):
     def __init__(self, part: str, cause: DeviceError) -> None:
         super().__init__(str(cause))
         self.part, self.cause = part, cause
-
-
-def measure_level(path: Path) -> tuple[float, float]:
-    """Return how bright a frame's brightest parts are, as a share of saturation, and the share that is saturated.
-
-    The brightest parts: what half a percent of the picture exceeds, in the brightest colour; not the very brightest
-    pixel, which is noise or hot.
-
-    Raises:
-        DeviceError: it is no RAW frame, or damaged.
-    """
-    try:
-        picture = raw.preview(path)
-    except PhoslabError as error:
-        raise DeviceError(
-            f"delivered what is no RAW frame: {error.problem}",
-            field="the camera",
-            remedy="Set it to RAW alone (not JPEG, not RAW + JPEG).",
-        ) from error
-    level = float(np.nanpercentile(np.nanmax(picture.image, axis=-1), 99.5))
-    return (level if math.isfinite(level) else math.nan), float(picture.saturated.mean())
-
-
-def check_space(folder: Path, n_frames: int, frame_bytes: int) -> None:
-    """Refuse a plan whose frames do not fit on the disk.
-
-    Raises:
-        PhoslabError: too little is free.
-    """
-    while not folder.exists():
-        folder = folder.parent
-    free, needed = shutil.disk_usage(folder).free, n_frames * frame_bytes + DISK_RESERVE_BYTES
-    if free < needed:
-        raise PhoslabError(
-            f"has {free / 1e9:.2f} GB free, and {n_frames} frames need {needed / 1e9:.2f} GB",
-            file=folder,
-            field="the disk",
-            remedy="Make room, or measure into a folder on another disk.",
-        )

@@ -40,7 +40,8 @@ from phoslab.instruments.plans.steps import (
     Wait,
 )
 from phoslab.instruments.recorder import Recorder
-from phoslab.instruments.runner import COLD_AFTER_S, measure_level
+from phoslab.instruments.runner import COLD_AFTER_S
+from phoslab.instruments.shooting import measure_level
 from phoslab.plan_parameters import PLANS, Parameters
 
 LAG_S, READOUT_S, HAND_S = 0.065, 0.12, 30.0

@@ -264,6 +264,9 @@ class Laboratory:
         beside.replace(self._port)
 
     def _unplug(self) -> None:
+        if self._master < 0:  # pulled while it is out: it stays so for longer
+            self._back_at = time.monotonic() + _AWAY_S
+            return
         # The next one is opened first: so it gets another path.
         following = os.openpty()
         self._port.unlink(missing_ok=True)
@@ -273,7 +276,14 @@ class Laboratory:
         self._following, self._back_at = following, time.monotonic() + _AWAY_S
 
     def _run(self) -> None:
-        """The controller's life."""
+        """The controller's life, and the bench's: else hosts would wait for a controller that never answers."""
+        try:
+            self._live()
+        finally:
+            if not self._ends:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    def _live(self) -> None:
         while not self._ends:
             with self._lock:
                 self._pass_faults()

@@ -13,7 +13,8 @@ from pathlib import Path
 from phoslab.errors import PhoslabError
 from phoslab.files import write_text
 from phoslab.instruments.controller import RigController
-from phoslab.instruments.recorder import Recorder, SystemClock
+from phoslab.instruments.recorder import Recorder
+from phoslab.instruments.system_clock import SystemClock
 
 
 def main(word: str, port: str, session: str | None = None) -> None:

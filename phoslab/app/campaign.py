@@ -24,10 +24,11 @@ from phoslab.files import inside, read_regular, write_text
 from phoslab.instruments.history import History
 from phoslab.instruments.interrupts import Interrupts
 from phoslab.instruments.plans import start
-from phoslab.instruments.recorder import Recorder, check_free, lock
+from phoslab.instruments.recorder import Recorder
 from phoslab.instruments.rehearsal import Rehearsal, TimeLine
 from phoslab.instruments.rig import Rig, plain
 from phoslab.instruments.runner import Runner
+from phoslab.instruments.session_folder import check_free, lock
 from phoslab.journal import check_version
 from phoslab.plan_parameters import Lamp, Parameters, parameters
 from phoslab.session import Session

@@ -16,13 +16,14 @@ from phoslab.app.live import Lines, Live, Silent, Terminal
 from phoslab.errors import PhoslabError
 from phoslab.instruments.devices import Clock, DeviceError, Exposure
 from phoslab.instruments.interrupts import Interrupts
+from phoslab.instruments.laboratory import Laboratory, check_space
 from phoslab.instruments.operator import Operator
 from phoslab.instruments.plans.ladder import Ladder
 from phoslab.instruments.plans.steps import Setup
-from phoslab.instruments.recorder import SystemClock
 from phoslab.instruments.rehearsal import TimeLine
 from phoslab.instruments.rig import Devices, Rig, connect
-from phoslab.instruments.runner import CAMERA_S, Laboratory, check_space
+from phoslab.instruments.shooting import CAMERA_S
+from phoslab.instruments.system_clock import SystemClock
 
 
 @dataclass(frozen=True)

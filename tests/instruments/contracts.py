@@ -190,7 +190,7 @@ class DoorContract(DeviceContract):
         for value in ("open", "closed", "closed", "open"):
             before_s = time.monotonic()
             status = staged.set(value)  # type: ignore[arg-type]
-            status.wait(10)
+            status.wait(60)
             assert status.success
             readings = staged.read()
             assert readings[staged.name]["value"] == value
@@ -203,10 +203,10 @@ class DoorContract(DeviceContract):
     def test_a_stopped_door_can_be_set_again(self, staged: Door) -> None:
         staged.set("open")
         staged.stop()
-        staged.set("closed").wait(10)
+        staged.set("closed").wait(60)
         assert staged.read()[staged.name]["value"] == "closed"
 
     def test_set_does_not_wait(self, staged: Door) -> None:
         status = staged.set("open")
         assert not status.done  # a door takes a tenth of a second or more
-        status.wait(10)
+        status.wait(60)

@@ -18,7 +18,8 @@ import phoslab
 from phoslab.errors import PhoslabError
 from phoslab.instruments.bench.bench import SimulatedClock
 from phoslab.instruments.devices import Clock
-from phoslab.instruments.recorder import Recorder, SystemClock
+from phoslab.instruments.recorder import Recorder
+from phoslab.instruments.system_clock import SystemClock
 from phoslab.session import Session
 
 HEADER = {
@@ -78,6 +79,7 @@ def test_what_a_killed_writer_began_is_swept_away_by_the_next(step: int, tmp_pat
     program = f"""
 import os, signal
 from phoslab.instruments import recorder
+from phoslab.instruments.system_clock import SystemClock
 steps = 0
 def dying(name, where):
     real = getattr(where, name)
@@ -91,7 +93,7 @@ def dying(name, where):
 for name, where in [("umask", recorder), ("write_text", recorder), ("lock", recorder), ("_sync_folder", recorder)]:
     dying(name, where)
 dying("rename", recorder.Path)
-recorder.Recorder({str(tmp_path / "s")!r}, {HEADER!r}, recorder.SystemClock())
+recorder.Recorder({str(tmp_path / "s")!r}, {HEADER!r}, SystemClock())
 """
     environment = {**os.environ, "PYTHONPATH": str(Path(phoslab.__file__).parent.parent)}
     killed = subprocess.run([sys.executable, "-c", program], check=False, env=environment)

@@ -136,7 +136,8 @@ HOLD = """
 import sys, time
 from pathlib import Path
 sys.path.insert(0, str(Path(sys.argv[2])))
-from phoslab.instruments.recorder import Recorder, SystemClock
+from phoslab.instruments.recorder import Recorder
+from phoslab.instruments.system_clock import SystemClock
 recorder = Recorder.resume(Path(sys.argv[1]), SystemClock())
 print("held", flush=True)
 time.sleep(60)

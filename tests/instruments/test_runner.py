@@ -9,13 +9,15 @@ import pytest
 from boards import SIMULATED, BoardProcess
 
 from phoslab.app.live import Silent
-from phoslab.instruments import runner
+from phoslab.instruments import waiting
 from phoslab.instruments.controller import RigController
 from phoslab.instruments.devices import AlarmError
 from phoslab.instruments.interrupts import Interrupts
+from phoslab.instruments.laboratory import Laboratory
 from phoslab.instruments.plans.steps import Lamp, Part, Plan, Wait
-from phoslab.instruments.recorder import Recorder, SystemClock
-from phoslab.instruments.runner import Laboratory, Runner
+from phoslab.instruments.recorder import Recorder
+from phoslab.instruments.runner import Runner
+from phoslab.instruments.system_clock import SystemClock
 from phoslab.session import Session
 
 HEADER = {
@@ -37,7 +39,7 @@ class Nothing:
 def test_a_relay_that_sticks_ends_a_rest_in_the_dark_long_before_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(runner, "LOOK_S", 0.5)
+    monkeypatch.setattr(waiting, "LOOK_S", 0.5)
     board = BoardProcess(SIMULATED, tmp_path / "rig-port")
     clock = SystemClock()
     rig = RigController(board.port, settle_s=0.3)

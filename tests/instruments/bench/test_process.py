@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,11 +21,13 @@ from boards import eventually
 from contracts import DoorContract, LampContract
 
 from phoslab.errors import PhoslabError
+from phoslab.instruments import rig_parts
 from phoslab.instruments.bench import rig
 from phoslab.instruments.controller import RigController, RigDoor, RigLamp
-from phoslab.instruments.devices import Clock, DeviceError, DeviceGoneError
-from phoslab.instruments.recorder import Recorder, SystemClock
+from phoslab.instruments.devices import Clock, DeviceError, DeviceGoneError, DeviceTimeoutError
+from phoslab.instruments.recorder import Recorder
 from phoslab.instruments.simulated import BenchClock, Link
+from phoslab.instruments.system_clock import SystemClock
 
 HEADER = {
     "plan": {"name": "check", "parameters": {}},
@@ -324,6 +327,28 @@ def test_a_cable_that_comes_back_under_another_path_is_found_again(
     assert controller.lamp.read()["lamp"]["value"] == "off"
 
 
+def test_a_cable_that_is_pulled_again_while_it_is_out_comes_back_all_the_same(
+    lab: Laboratory, controller: RigController
+) -> None:
+    for _ in range(2):
+        lab.hands.inject("serial-unplug")
+    assert eventually(lambda: Path(lab.bench.port).exists(), 5)
+    controller.lamp.stage()
+    assert controller.lamp.read()["lamp"]["value"] == "off"
+
+
+def test_a_bench_whose_controller_breaks_down_ends() -> None:
+    """A folder that is gone is one way: a cable cannot be plugged in again there."""
+    bench = rig.start("green")
+    lab = laboratory(bench)
+    lab.hands.inject("serial-unplug")
+    shutil.rmtree(bench.folder)
+    try:
+        assert eventually(lambda: not rig._alive(bench.pid), 10)
+    finally:
+        bench.stop()
+
+
 def test_a_stuck_door_is_an_error_until_it_is_repaired(lab: Laboratory, controller: RigController) -> None:
     controller.door.stage()
     controller.door.set("closed").wait(10)
@@ -335,6 +360,22 @@ def test_a_stuck_door_is_an_error_until_it_is_repaired(lab: Laboratory, controll
     controller.door.stage()
     controller.door.set("open").wait(10)
     controller.door.set("closed").wait(10)
+
+
+def test_the_doors_time_out_counts_on_the_controllers_clock_as_its_own_limit_does(
+    lab: Laboratory, controller: RigController, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which a jump sets forward here, and which a busy machine slows down under simavr."""
+    monkeypatch.setattr(rig_parts, "DOOR_S", 1.5)
+    controller.door.stage()
+    controller.door.set("closed").wait(60)
+    lab.hands.inject("stuck-door")
+    moving = controller.door.set("open")
+    assert eventually(lambda: controller.status()["drive"] == "OPEN")
+    # By the machine's clock the controller's limit of 3 s would be there first, after 1.4 s.
+    lab.clock.sleep_until(lab.clock.mono_s() + 1.6)
+    with pytest.raises(DeviceTimeoutError, match=r"door did not do 'DOOR OPEN' within 1\.5 s"):
+        moving.wait(60)
 
 
 def test_a_stuck_relay_is_an_alarm_and_the_other_relay_opens(

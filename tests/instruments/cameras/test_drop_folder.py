@@ -14,7 +14,7 @@ from camera_contract import CameraContract
 
 from phoslab.instruments.cameras.drop_folder import DropFolder
 from phoslab.instruments.devices import DeviceError, DeviceGoneError, DeviceTimeoutError, Exposure
-from phoslab.instruments.recorder import SystemClock
+from phoslab.instruments.system_clock import SystemClock
 
 SOFTWARE = Path(__file__).with_name("vendor_software.py")
 EXPOSURE = Exposure(0.125, 100.0, 2.8)

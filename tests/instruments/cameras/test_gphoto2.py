@@ -20,7 +20,8 @@ from phoslab.instruments.bench.camera import CANON
 from phoslab.instruments.bench.dng import write_dng
 from phoslab.instruments.cameras.gphoto2 import GphotoCamera
 from phoslab.instruments.devices import DeviceError, DeviceGoneError, DeviceTimeoutError, Exposure
-from phoslab.instruments.recorder import Recorder, SystemClock
+from phoslab.instruments.recorder import Recorder
+from phoslab.instruments.system_clock import SystemClock
 from phoslab.session import Session
 
 gphoto2 = pytest.importorskip("gphoto2", reason="the extra phoslab[camera] is not installed")
