@@ -130,8 +130,11 @@ def test_the_lamps_spectrum_is_that_of_the_bench(calibration, lamp_session):
     seen = (NM >= 430) & (NM <= 670)
     scale = (found.value[seen] @ truth[seen]) / (found.value[seen] @ found.value[seen])
     off = scale * found.value[seen] / truth[seen] - 1
-    # Without flats the lamp's unevenness is unknown: the bound that the result itself states.
-    assert np.abs(off).max() < 3 * 0.03
+    # The bound that the result itself states: without flats the lamp's unevenness is unknown, 3 % everywhere; toward
+    # the blue, where this lamp is faint and the strip ends, the curves' own error comes to that.
+    error = scale * found.standard_error[seen] / truth[seen]
+    assert (np.abs(off) < 3 * error).all()
+    assert np.median(error) < 1.2 * 0.03
     assert any("--flat" in w for w in found.warnings)
 
 
