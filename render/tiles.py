@@ -64,6 +64,7 @@ class Tiles:
         check_room(w * h * parameters.directions * 8, "what a picture's directions hit")
         self._hits = device.buffer(np.zeros((w * h * parameters.directions, 2), dtype=np.uint32))
         self._nearness = device.buffer(np.zeros(w * h, dtype=np.float32))
+        self._guide, self._smooth_guide = (device.buffer(np.zeros((w * h, 2), dtype=np.float32)) for _ in range(2))
         layers = layer_count(self.n_bands)
         self._light, self._spare = (device.texture_array((w, h), layers) for _ in range(2))
         self._placed: list[bytes] = []
@@ -203,12 +204,15 @@ class Tiles:
         shader = self._program("tile_light", "DIRECTIONS", "LAYERS")
         self._hits.bind_to_storage_buffer(0)
         self.cell_glow.radiances.bind_to_storage_buffer(1)
+        self._guide.bind_to_storage_buffer(2)
         self._light.bind_to_image(0, read=False, write=True)
         self._device.dispatch(shader, self._around.size)
         self._share(radiance, self.cell_glow.glow)
 
     def reflect(self, light: NDArray[np.float32], radiance: moderngl.TextureArray) -> None:
         """Add what every sample reflects of (h, w, K) light, E / π a pixel, top row first, filtered as ours is."""
+        # A variance without bound: light whose noise is unknown is shared as if all were alike.
+        self._guide.write(np.full((*self._around.size, 2), (1.0, 1e30), dtype=np.float32))
         self._light.write(to_layers(light[::-1]).astype("f4").tobytes())
         self._share(radiance, 1.0)
 
@@ -218,9 +222,16 @@ class Tiles:
         self._reflect(radiance, glow)
 
     def _filter(self) -> None:
+        smooth = self._program("glow_guide", "SUPERSAMPLING")
+        self._bind_receivers(smooth)
+        self._guide.bind_to_storage_buffer(0)
+        self._smooth_guide.bind_to_storage_buffer(1)
+        set_uniforms(smooth, size=self._around.size)
+        self._device.dispatch(smooth, self._around.size)
         shader = self._program("glow_filter", "SUPERSAMPLING", "AIMLESS", "LAYERS", "RADIUS")
         self._bind_receivers(shader)
         self._nearness.bind_to_storage_buffer(0)
+        self._smooth_guide.bind_to_storage_buffer(1)
         for along in ((1, 0), (0, 1)):
             self._light.use(2)
             set_uniforms(shader, light_in=2, along=along)
