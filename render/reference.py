@@ -54,6 +54,7 @@ class Reference:
             around.size,
             reflections=UNLIMITED if p.full else p.bounces,
             samples=p.samples,
+            seed=p.seed,
             direct=False,
         )
         self._pixels.write(to_layers(self.reflected[::-1]).astype("f4").tobytes())

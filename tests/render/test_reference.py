@@ -75,6 +75,20 @@ def test_what_the_camera_sees_is_what_the_renderer_sees():
     assert (np.abs(got - want).max(axis=-1)[bright] < 0.02 * want.max()).all()
 
 
+def test_pictures_of_two_seeds_differ_by_noise_alone(build, rooms):
+    """Their means agree within five standard errors of the difference of their pixels."""
+    path = rooms.facing_disks(build).write()
+    one, same, other = (
+        render(path, ["0"], size=(32, 32), supersampling=1,
+               transport=TransportParameters("reference", samples=16, seed=seed))[0].radiance.sum(axis=-1)
+        for seed in (1, 1, 2)
+    )  # fmt: skip
+    np.testing.assert_array_equal(one, same)
+    difference = one - other
+    assert difference.any()
+    assert abs(difference.mean()) < 5 * difference.std() / np.sqrt(difference.size)
+
+
 def test_what_has_faded_by_six_decades_is_traced_as_well():
     bright, dim = (
         render(SCENES / "occluder", [t], size=(48, 48), supersampling=1,
