@@ -54,6 +54,7 @@ class Reference:
             around.size,
             reflections=UNLIMITED if p.full else p.bounces,
             samples=p.samples,
+            seed=p.seed,
             direct=False,
             grid=around.supersampling,
         )

@@ -64,7 +64,9 @@ class Tiles:
         check_room(w * h * parameters.directions * 8, "what a picture's directions hit")
         self._hits = device.buffer(np.zeros((w * h * parameters.directions, 2), dtype=np.uint32))
         self._nearness = device.buffer(np.zeros(w * h, dtype=np.float32))
-        self._guide, self._smooth_guide = (device.buffer(np.zeros((w * h, 2), dtype=np.float32)) for _ in range(2))
+        self._guide, self._smooth_guide = (
+            device.buffer(np.zeros((w * h, 2), dtype=np.float32)) for _ in range(2)
+        )
         layers = layer_count(self.n_bands)
         self._light, self._spare = (device.texture_array((w, h), layers) for _ in range(2))
         self._placed: list[bytes] = []

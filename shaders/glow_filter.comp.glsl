@@ -5,22 +5,13 @@
 layout(local_size_x = 8, local_size_y = 8) in;
 #include "receivers.glsl"
 #include "alike.glsl"
+#include "same_light.glsl"
 
 uniform sampler2DArray light_in;
 uniform ivec2 along;
 layout(std430, binding = 0) readonly buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless directions
 layout(std430, binding = 1) readonly buffer Guide { vec2 guide[]; };       // light before the filter, and its variance
 layout(rgba32f, binding = 0) writeonly uniform image2DArray light;
-
-// Standard deviations of the difference at which two pixels' light begins to count as different: below, a filter leaves
-// noise; above, it carries light over shadows' edges. The sample scenes' error is least between 1 and 2.
-const float SIGNIFICANT = 1.5;
-
-// Less of a neighbour whose light differs by more than their noise does.
-float same_light(vec2 a, vec2 b) {
-    float off = a.x - b.x, noise = SIGNIFICANT * SIGNIFICANT * (a.y + b.y) + 1e-6 * a.x * a.x;
-    return off == 0.0 ? 1.0 : exp(-0.5 * off * off / noise);
-}
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy), size = imageSize(light).xy;
