@@ -10,7 +10,7 @@ layout(local_size_x = 8, local_size_y = 8) in;
 uniform sampler2DArray light_in;
 uniform ivec2 along;
 layout(std430, binding = 0) readonly buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless directions
-layout(std430, binding = 1) readonly buffer Guide { vec2 guide[]; };       // light before the filter, and its variance
+layout(std430, binding = 1) readonly buffer Guide { vec2 guide[]; };       // where shadows may end: light, and its variance
 layout(rgba32f, binding = 0) writeonly uniform image2DArray light;
 
 void main() {

@@ -4,7 +4,6 @@ layout(local_size_x = 8, local_size_y = 8) in;
 
 layout(std430, binding = 0) readonly buffer Hits { uvec2 hits[]; };      // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
 layout(std430, binding = 1) readonly buffer Radiances { vec4 cells[]; }; // LAYERS a side, front and back of each
-layout(std430, binding = 2) writeonly buffer Guide { vec2 guide[]; };    // the sum over the bands, and its variance
 layout(rgba32f, binding = 0) writeonly uniform image2DArray light;
 
 void main() {
@@ -12,22 +11,11 @@ void main() {
     if (any(greaterThanEqual(pixel, size))) return;
     vec4 L[LAYERS];
     for (int l = 0; l < LAYERS; ++l) L[l] = vec4(0.0);
-    float sum = 0.0, squares = 0.0;
     int first = (pixel.y * size.x + pixel.x) * DIRECTIONS;
     for (int k = 0; k < DIRECTIONS; ++k) {
         uvec2 hit = hits[first + k];
-        if (hit.x == 0u) continue;
-        float all = 0.0;
-        for (int l = 0; l < LAYERS; ++l) {
-            vec4 met = uintBitsToFloat(hit.y) * cells[(hit.x - 1u) * LAYERS + l];
-            L[l] += met;
-            all += dot(met, vec4(1.0));
-        }
-        sum += all;
-        squares += all * all;
+        if (hit.x > 0u)
+            for (int l = 0; l < LAYERS; ++l) L[l] += uintBitsToFloat(hit.y) * cells[(hit.x - 1u) * LAYERS + l];
     }
-    float mean = sum / float(DIRECTIONS);
-    float variance = max(squares / float(DIRECTIONS) - mean * mean, 0.0) / max(float(DIRECTIONS) - 1.0, 1.0);
-    guide[pixel.y * size.x + pixel.x] = vec2(mean, DIRECTIONS > 1 ? variance : mean * mean);
     for (int l = 0; l < LAYERS; ++l) imageStore(light, ivec3(pixel, l), L[l] / float(DIRECTIONS));
 }
