@@ -27,6 +27,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from phoslab.errors import PhoslabError
 from phoslab.render.cell_glow import CellGlow
 from phoslab.render.cell_light import CellLight, leaf_reflectances
 from phoslab.render.cell_rays import CellTree
@@ -42,6 +43,9 @@ TILE = 16  # pixels along a side; as in shaders/include/tiles.glsl
 GROUP_FLOATS = 12
 # Directions that a shader holds in registers: measured on llvmpipe, 32 at once take ten times as long as 4 times 8.
 BATCH = 8
+# Rounds of a loop in a shader, of the 65535 after which llvmpipe ends it without a word.
+STAGE = 32768
+LONGEST_LIST = 65000
 
 
 class Tiles:
@@ -158,18 +162,18 @@ class Tiles:
         lists = guides = ends
         for fill in (False, True):
             shader = self._cell_shaders[fill]
-            for k, buffer in enumerate((groups, walk, skip, ends, *([lists, guides] if fill else []))):
+            stages = device.buffer(np.zeros((n_groups, 3), dtype=np.uint32))
+            for k, buffer in enumerate((groups, walk, skip, ends, stages, *([lists, guides] if fill else []))):
                 buffer.bind_to_storage_buffer(k)
-            set_uniforms(
-                shader,
-                group_count=n_groups,
-                cell_count=len(self.cells.skip),
-                detail=self._parameters.detail,
-            )
-            device.dispatch(shader, (n_groups, 1), group=(16, 1))
+            set_uniforms(shader, group_count=n_groups, detail=self._parameters.detail)
+            n_cells = len(self.cells.skip)
+            for end in range(STAGE, n_cells + STAGE, STAGE):
+                set_uniforms(shader, stage_end=min(end, n_cells))
+                device.dispatch(shader, (n_groups, 1), group=(16, 1))
             if not fill:
                 counts = np.frombuffer(ends.read(), dtype=np.uint32)[:-1].astype(np.int64)
                 self.list_lengths = counts
+                check_list(int(counts.max(initial=0)))
                 begins = np.concatenate([[0], np.cumsum(counts)])
                 n = int(begins[-1])
                 check_room(n * 12, "the cells of the picture's tiles")
@@ -285,3 +289,17 @@ class Tiles:
             "met": np.repeat((hits > 0).mean(axis=-1)[..., None], 3, axis=-1),
             "cells": colours[hits[..., 0]],
         }
+
+
+def check_list(longest: int) -> None:
+    """Refuse what a shader's loop would leave out.
+
+    Raises:
+        PhoslabError: a tile has more cells than a loop has rounds.
+    """
+    if longest > LONGEST_LIST:
+        raise PhoslabError(
+            f"would hold its rays against {longest} cells, and no more than {LONGEST_LIST} are",
+            field="a tile of the picture",
+            remedy="Give a larger --cell or --detail, or --gi reference.",
+        )

@@ -1,7 +1,8 @@
 #version 430
 // Chooses, for each group of a tile, the cells that stand for the whole scene as seen from there: one thread a group.
 // The walk goes down where a cell looks too large, and passes over what lies behind all receivers.
-// Run twice: once to count, once, with FILL, to write where the count has made room.
+// Run twice: once to count, once, with FILL, to write where the count has made room; each time in stages, since a driver
+// may end a loop after 65535 rounds without a word (llvmpipe does).
 layout(local_size_x = 16) in;
 #include "tiles.glsl"
 
@@ -11,17 +12,24 @@ struct Cell {
     vec4 more; // error, is triangle, sends light
 };
 
+struct Stage { // how far a group's walk has come
+    uint next;  // cell
+    uint count; // of the cells chosen
+    float sum;  // of what they promise
+};
+
 layout(std430, binding = 0) readonly buffer Groups { Group groups[]; };
 layout(std430, binding = 1) readonly buffer Walk { Cell cells[]; };
 layout(std430, binding = 2) readonly buffer Skip { uint skip[]; };
 layout(std430, binding = 3) buffer Ends { uint ends[]; }; // counts, or where each group's list begins
+layout(std430, binding = 4) buffer Stages { Stage stages[]; };
 #ifdef FILL
-layout(std430, binding = 4) writeonly buffer Lists { uint lists[]; };
+layout(std430, binding = 5) writeonly buffer Lists { uint lists[]; };
 // How much light a cell may send to the group, per area of the cell, and summed over the list.
-layout(std430, binding = 5) writeonly buffer Guides { vec2 guides[]; };
+layout(std430, binding = 6) writeonly buffer Guides { vec2 guides[]; };
 #endif
 uniform int group_count;
-uniform int cell_count;
+uniform int stage_end; // the cell at which this stage of the walk ends
 uniform float detail;
 
 const float COPLANAR = 2e-5;
@@ -63,12 +71,12 @@ void main() {
     int at = int(gl_GlobalInvocationID.x);
     if (at >= group_count) return;
     Group group = groups[at];
-    uint count = 0u;
+    Stage stage = stages[at];
 #ifdef FILL
     uint begin = ends[at];
-    float sum = 0.0;
 #endif
-    for (uint k = 0u; group.count > 0.0 && k < uint(cell_count);) {
+    uint k = stage.next;
+    while (group.count > 0.0 && k < uint(stage_end)) {
         Cell cell = cells[k];
         if (is_hidden(group, cell)) {
             k = skip[k];
@@ -81,15 +89,17 @@ void main() {
             continue;
         }
 #ifdef FILL
-        lists[begin + count] = k;
+        lists[begin + stage.count] = k;
         float area = 1.0, hope = cell.more.z > 0.0 ? promise(group, cell, area) : 0.0;
-        sum += hope;
-        guides[begin + count] = vec2(hope / area, sum);
+        stage.sum += hope;
+        guides[begin + stage.count] = vec2(hope / area, stage.sum);
 #endif
-        ++count;
+        ++stage.count;
         k = skip[k];
     }
+    stage.next = k;
+    stages[at] = stage;
 #ifndef FILL
-    ends[at] = count;
+    ends[at] = stage.count;
 #endif
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from phoslab.errors import PhoslabError
 from phoslab.render import TransportParameters, load_scene, render
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.sample_data.make_scenes import SCENES
@@ -24,6 +25,17 @@ def test_closed_box_of_albedo_and_emission_one_half_reads_three_quarters(build, 
     """
     L = tiles(rooms.closed_box(build).write(), (48, 48), supersampling=supersampling, guided=0.0)
     np.testing.assert_allclose(L, 0.75, rtol=1e-5)
+
+
+def test_no_cell_is_lost_where_a_walk_takes_more_rounds_than_a_loop_has(build, rooms, device):
+    """llvmpipe ends a shader's loops after 65535 rounds in all, and says nothing: half of the walls would be missing."""
+    path = rooms.closed_box(build).write()
+    _, tiled = hits_of(device, path, (16, 16), cell=0.0115, detail=0.01, guided=0.0)
+    assert len(tiled.cells.skip) > 65535
+    assert tiled.list_lengths.max() > 32768
+    assert (tiled.hits() > 0).all()
+    with pytest.raises(PhoslabError, match="--cell or --detail"):
+        hits_of(device, path, (16, 16), cell=0.006, detail=0.01)
 
 
 @pytest.mark.parametrize("guided", [0.25, 0.5, 0.75])
