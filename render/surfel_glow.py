@@ -16,6 +16,10 @@ from phoslab.render.passes import Picture
 from phoslab.render.prefix_sums import GROUP
 from phoslab.render.surfels import Surfels
 
+# Sides of the copies are multiples of it: five MIP levels are then exact means, and Mesa 22 loses none (of odd sizes it
+# empties all levels but the first, where there are several layers).
+MULTIPLE = 32
+
 
 class SurfelGlow:
     """Reads radiance for surfels from the MIP maps of the atlases; texels between charts are left out.
@@ -39,7 +43,7 @@ class SurfelGlow:
     ) -> None:
         self._device, self._surfels, self._layers = device, surfels, layer_count(n_bands)
         self._sources = [
-            (glow, atlas, device.texture_array(atlas.size, self._layers + 1))
+            (glow, atlas, device.texture_array(_padded(atlas.size), self._layers + 1))
             for glow, atlas in zip(glows, atlases, strict=True)
         ]
         self.radiances = device.buffer(np.zeros((surfels.count, self._layers, 4), dtype=np.float32))
@@ -55,13 +59,14 @@ class SurfelGlow:
             atlas.position_w.use(1)
             covered.bind_to_image(0, read=False, write=True)
             set_uniforms(copy, radiance=0, position_w=1)
-            device.dispatch(copy, atlas.size)
+            device.dispatch(copy, covered.size[:2])
             covered.build_mipmaps()
             covered.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
             covered.use(0)
             self._surfels.buffer.bind_to_storage_buffer(0)
             self.radiances.bind_to_storage_buffer(1)
-            set_uniforms(read, covered=0, number=float(glow.drawable.number), count=count)
+            share = tuple(n / m for n, m in zip(atlas.size, covered.size[:2], strict=True))
+            set_uniforms(read, covered=0, share=share, number=float(glow.drawable.number), count=count)
             device.dispatch(read, (max(1, count), 1), group=GROUP)
         values = np.frombuffer(self.radiances.read(), dtype="f4").reshape(-1, 4)[: count * self._layers]
         self.glow = float(values.max(initial=0.0))
@@ -76,3 +81,8 @@ class SurfelGlow:
     def debug_views(self) -> dict[str, Picture]:
         """Nothing of its own: surfels are shown where the camera sees them."""
         return {}
+
+
+def _padded(size: tuple[int, int]) -> tuple[int, int]:
+    w, h = (-(-n // MULTIPLE) * MULTIPLE for n in size)
+    return w, h

@@ -6,6 +6,7 @@ layout(local_size_x = 64) in;
 layout(std430, binding = 0) readonly buffer Surfels { Surfel surfels[]; };
 layout(std430, binding = 1) writeonly buffer Radiances { vec4 radiances[]; }; // LAYERS a surfel
 uniform sampler2DArray covered; // LAYERS, and one more with the share of texels that count
+uniform vec2 share; // that the atlas takes of it
 uniform float number;
 uniform uint count;
 
@@ -13,6 +14,7 @@ void main() {
     uint k = gl_GlobalInvocationID.x;
     if (k >= count || surfels[k].facing.w != number) return;
     vec4 texel = surfels[k].texel;
+    texel.xy *= share;
     float cover = textureLod(covered, vec3(texel.xy, LAYERS), texel.z).x;
     for (int l = 0; l < LAYERS; ++l)
         radiances[k * LAYERS + l] = textureLod(covered, vec3(texel.xy, l), texel.z) / max(cover, 1e-6);

@@ -40,6 +40,18 @@ def test_facing_disks_exchange_their_form_factor(build, rooms):
     np.testing.assert_allclose(disks_ratio(rooms.facing_disks(build).write(), rooms, "dss"), 1.0, rtol=0.01)
 
 
+@pytest.mark.parametrize("texels", [3, 33, 171, 256])
+def test_disks_send_what_the_atlas_holds_whatever_its_size(device, build, rooms, texels):
+    """One radiance all over: every mean of it is it, to the rounding of the MIP levels' and the cover's quotient."""
+    build.mesh("quad").camera()
+    toml = rooms.write_material(build, "quad", [1.0, 2.0, 4.0], [0.0] * 3).replace("= 64", f"= {texels}")
+    _, dss = transport_of(device, build.text(toml + rooms.SATURATED).write())
+    sent = np.frombuffer(dss.surfel_glow.radiances.read(), dtype="f4").reshape(dss.surfels.count, 4)
+    np.testing.assert_allclose(
+        sent[:, :3] * dss.surfel_glow.glow, np.broadcast_to([1.0, 2, 4], sent[:, :3].shape), rtol=1e-5
+    )
+
+
 def test_what_is_missing_falls_as_levels_rise(build, rooms):
     """Each level reaches twice as far: with too few, light from afar is lost."""
     path = rooms.closed_box(build).write()
