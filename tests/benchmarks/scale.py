@@ -1,4 +1,4 @@
-"""Render scenes of a million triangles by every way of glow: python tests/benchmarks/scale.py OUT [SCENE...] [--gi WAY...]
+"""Render a million triangles by every way of glow: python tests/benchmarks/scale.py OUT [SCENE...] [--gi WAY...]
 
 relief     a floor of a million triangles under a panel that glows: 12 triangles send, all block
 glowing    the same floor glows itself, and the walls are lit by it
