@@ -68,7 +68,7 @@ class CellGlow:
             texels.texels.bind_to_storage_buffer(1)
             self._leaf_radiances.bind_to_storage_buffer(2)
             set_uniforms(self._program, radiance=0, first=texels.first, count=texels.count)
-            self._device.dispatch(self._program, (texels.count, 1), group=(64, 1))
+            self._device.dispatch_items(self._program, texels.count)
         leaves = np.frombuffer(self._leaf_radiances.read(), dtype="f4").astype(np.float64)
         return leaves.reshape(len(self._cells.leaf_areas), -1)
 

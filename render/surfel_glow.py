@@ -13,7 +13,6 @@ from phoslab.render.atlas_glow import AtlasGlow
 from phoslab.render.device import Device, set_uniforms
 from phoslab.render.optics import layer_count
 from phoslab.render.passes import Picture
-from phoslab.render.prefix_sums import GROUP
 from phoslab.render.surfels import Surfels
 
 # Sides of the copies are multiples of it: five MIP levels are then exact means, and Mesa 22 loses none (of odd sizes it
@@ -67,7 +66,7 @@ class SurfelGlow:
             self.radiances.bind_to_storage_buffer(1)
             share = tuple(n / m for n, m in zip(atlas.size, covered.size[:2], strict=True))
             set_uniforms(read, covered=0, share=share, number=float(glow.drawable.number), count=count)
-            device.dispatch(read, (max(1, count), 1), group=GROUP)
+            device.dispatch_items(read, count)
         values = np.frombuffer(self.radiances.read(), dtype="f4").reshape(-1, 4)[: count * self._layers]
         self.glow = float(values.max(initial=0.0))
         if self.glow > 0:

@@ -1,6 +1,7 @@
 #version 430
 // The mean radiance of each of the smallest cells of one phosphor: that of its texels, weighted by their areas.
 layout(local_size_x = 64) in;
+#include "items.glsl"
 
 uniform sampler2DArray radiance;
 uniform int first; // leaf
@@ -11,7 +12,7 @@ layout(std430, binding = 1) readonly buffer Texels { uvec4 texels[]; }; // x, y,
 layout(std430, binding = 2) writeonly buffer Leaves { vec4 leaves[]; }; // LAYERS a leaf
 
 void main() {
-    int leaf = int(gl_GlobalInvocationID.x);
+    int leaf = int(item_number());
     if (leaf >= count) return;
     vec4 L[LAYERS];
     for (int l = 0; l < LAYERS; ++l) L[l] = vec4(0.0);

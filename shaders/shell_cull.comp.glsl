@@ -5,6 +5,7 @@
 // before the surfel. All of it is conservative: what is left out would have been rejected pixel by pixel.
 // Without FILL surfels are counted; with it, after prefix sums, the splats are written.
 layout(local_size_x = 64) in;
+#include "items.glsl"
 #include "surfels.glsl"
 #include "interleaved.glsl"
 #include "shells.glsl"
@@ -87,7 +88,7 @@ bool boxes_in_reach(Surfel s, float inner, float outer, ivec4 pixels) {
 }
 
 void main() {
-    uint k = gl_GlobalInvocationID.x;
+    uint k = item_number();
     if (k >= count) return;
     Surfel s = surfels[k];
     ivec2 blocks = count_blocks(size);

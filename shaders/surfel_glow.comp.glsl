@@ -1,6 +1,7 @@
 #version 430
 // What the surfels of one phosphor send: the mean of its atlas over as many texels as a surfel has area.
 layout(local_size_x = 64) in;
+#include "items.glsl"
 #include "surfels.glsl"
 
 layout(std430, binding = 0) readonly buffer Surfels { Surfel surfels[]; };
@@ -11,7 +12,7 @@ uniform float number;
 uniform uint count;
 
 void main() {
-    uint k = gl_GlobalInvocationID.x;
+    uint k = item_number();
     if (k >= count || surfels[k].facing.w != number) return;
     vec4 texel = surfels[k].texel;
     texel.xy *= share;
