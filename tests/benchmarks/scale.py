@@ -5,7 +5,8 @@ glowing    the same floor glows itself, and the walls are lit by it
 rubble     two hundred thousand small pieces of four triangles each, no two of them joined, under the panel
 
 Each picture (384 x 256, 1 sample a pixel) is made by a process of its own: how long it took from the scene's file to
-the picture, the most memory that the process held, and OUT/SCENE-WAY.png. A way that fails says so and why.
+the picture, how much of a core's time the whole process, the most memory that it held, and OUT/SCENE-WAY.png. A way
+that fails says so and why.
 """
 
 from __future__ import annotations
@@ -112,11 +113,12 @@ def draw(path: Path, way: str, out: Path, surfel: float) -> None:
         print(f"{path.name:10} {way:10} is refused: {error} {error.remedy}", flush=True)
         return
     seconds = time.perf_counter() - start
-    held = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    took = f"{seconds:7.1f} s {used.ru_utime + used.ru_stime:7.1f} s of a core {used.ru_maxrss / 1e6:6.2f} GB"
     frames.write(out)
     lit = float(frames[0].radiance.mean())
     said = "".join(f" [{warning}]" for warning in frames.warnings)
-    print(f"{path.name:10} {way:10} {seconds:7.1f} s {held:6.2f} GB, mean {lit:.4g}{said}", flush=True)
+    print(f"{path.name:10} {way:10} {took}, mean {lit:.4g}{said}", flush=True)
 
 
 def in_a_process(what: Callable[..., None], *args: object) -> None:
