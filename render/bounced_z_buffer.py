@@ -29,6 +29,7 @@ from phoslab.render.device import Device, read_texture, set_uniforms
 from phoslab.render.directions import patterned_points
 from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import Surroundings, TransportParameters
+from phoslab.render.lit_cells import LitCells
 from phoslab.render.memory import check_room
 from phoslab.render.optics import layer_count
 from phoslab.render.passes import Picture, false_normal
@@ -66,6 +67,7 @@ class BouncedZBuffer:
         check_room(3 * w * h * n * 4, "what a picture's directions hit")
         self._layers = layer_count(surroundings.scene.transport.n)
         self._pixels = GlowPixels(device, surroundings, Extent.of(surroundings.drawables), looks=n)
+        self.lit_cells = LitCells(device, surroundings, parameters) if parameters.follows_cells else None
         self._made: list[Any] = []
         self._points = device.buffer(patterned_points(pattern, n).astype(np.float32))
         self._hits = device.reserve(w * h * n * 4)
@@ -84,9 +86,12 @@ class BouncedZBuffer:
         device.release(*self._made)
         self.extent = self._pixels.extent = Extent.of(around.drawables)
         view = View.of(around.gbuffer.camera, self.extent, p.surfel)
+        if self.lit_cells is not None:
+            self.lit_cells.place()
         self.surfels = surfelize(device, around.drawables, self.extent, view)
         n_bands = around.scene.transport.n
-        self.surfel_glow = SurfelGlow(device, self.surfels, around.glows, around.atlases, n_bands)
+        lit = self.lit_cells if p.sends_on else None
+        self.surfel_glow = SurfelGlow(device, self.surfels, around.glows, around.atlases, n_bands, lit)
         self._made = [self.surfels.buffer, *self.surfel_glow.made]
         levels = choose_levels(p.levels, self.surfels, p.epsilon, around.size)
         self.first_shell = first_shell(radius_of(self.surfels, 0.5), p.epsilon)
@@ -139,7 +144,7 @@ class BouncedZBuffer:
             self.surfels,
             self.surfel_glow.radiances,
             level,
-            {"LAYERS": self._layers, "BOUNCED": 1},
+            {"BOUNCED": 1},
             first_shell=self.first_shell,
             inflation=INFLATION,
             last=last,
@@ -186,7 +191,9 @@ class BouncedZBuffer:
         self.surfel_glow.run()
         if self.surfel_glow.glow == 0.0:
             return
-        shader = self._device.compute("bounce_light", {**self._defines, "LAYERS": self._layers})
+        shader = self._device.compute(
+            "bounce_light", {**self._defines, "LAYERS": self._layers, "SIDES": self.surfel_glow.sides}
+        )
         self._pixels.bind_receivers(shader)
         self._bind(
             surfels=self.surfels.buffer,

@@ -48,9 +48,9 @@ class TransportParameters:
             scene (dss, dss-z).
         samples: light paths a pixel (reference).
         full: follow light to the end, not for one reflection alone (reference).
-        bounces: reflections on the way from a phosphor to the camera, at most (tiles, reference).
-        lamps: let surfaces light each other with what they reflect of the lamps, too (tiles).
-        excites: let the light of surfaces charge phosphors (tiles).
+        bounces: reflections on the way from a phosphor to the camera, at most (all).
+        lamps: let surfaces light each other with what they reflect of the lamps, too (all but reference).
+        excites: let the light of surfaces charge phosphors (all but reference).
     """
 
     method: str = NONE
@@ -88,7 +88,12 @@ class TransportParameters:
     @property
     def follows_cells(self) -> bool:
         """Whether light goes from cell to cell before it goes to the camera."""
-        return self.bounces > 1 or self.lamps or self.excites
+        return self.sends_on or self.excites
+
+    @property
+    def sends_on(self) -> bool:
+        """Whether surfaces send on to others what they reflect."""
+        return self.bounces > 1 or self.lamps
 
     @staticmethod
     def _check(field: str, value: float, low: float, high: float) -> None:

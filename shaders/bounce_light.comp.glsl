@@ -7,7 +7,7 @@ layout(local_size_x = 8, local_size_y = 8) in;
 #include "bounces.glsl"
 
 layout(std430, binding = 0) readonly buffer Surfels { Surfel surfels[]; };
-layout(std430, binding = 1) readonly buffer Radiances { vec4 radiances[]; };
+layout(std430, binding = 1) readonly buffer Radiances { vec4 radiances[]; }; // LAYERS a side
 layout(std430, binding = 6) readonly buffer Hits { uint hits[]; };
 layout(std430, binding = 7) writeonly buffer Nearness { float nearness[]; }; // sum of 1 / distance met
 layout(rgba32f, binding = 0) writeonly uniform image2DArray light;
@@ -28,9 +28,10 @@ void main() {
         float height = dot(surfels[surfel].place.xyz - p, surfels[surfel].facing.xyz);
         float cosine = dot(unpack_direction(choose_direction(pixel, k, n)), surfels[surfel].facing.xyz);
         near += abs(cosine / height);
-        // A back blocks and is dark.
-        if (cosine >= 0.0) continue;
-        for (int l = 0; l < LAYERS; ++l) L[l] += radiances[surfel * uint(LAYERS) + uint(l)];
+        // A back blocks, and is dark where surfels send what glows alone.
+        uint side = cosine < 0.0 ? 0u : 1u;
+        if (side >= uint(SIDES)) continue;
+        for (int l = 0; l < LAYERS; ++l) L[l] += radiances[(surfel * uint(SIDES) + side) * uint(LAYERS) + uint(l)];
     }
     nearness[pixel.y * size.x + pixel.x] = near;
     for (int l = 0; l < LAYERS; ++l) imageStore(light, ivec3(pixel, l), L[l] / float(DIRECTIONS));

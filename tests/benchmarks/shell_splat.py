@@ -88,9 +88,18 @@ def measure_fragments(device: Device, scene: Any) -> None:
     plain.release()
 
 
+def busy(device: Device, run: Callable[[], Any]) -> float:
+    """Return how long `run` keeps cores busy, in s: other programs matter less than in `taken`."""
+    device.ctx.finish()
+    start = time.process_time()
+    run()
+    device.ctx.finish()
+    return time.process_time() - start
+
+
 def measure_surfels(device: Device, scene: Any) -> None:
-    print("surfels   surfelize   splat: us a surfel, with as many fragments each")
-    for radius in (0.02, 0.0063, 0.002):
+    print("surfels   surfelize   splat: us of a core a surfel, with as many fragments each")
+    for radius in (0.011, 0.0035, 0.00114):
         with device.scope():
             parameters = TransportParameters("dss", surfel=radius, epsilon=0.05)
             renderer = Renderer(device, scene, RenderParameters(SIZE, 1, transport=parameters))
@@ -101,12 +110,12 @@ def measure_surfels(device: Device, scene: Any) -> None:
             made, drawn, fragments = [], [], 1
             for _ in range(RUNS):
                 with device.scope():
-                    made.append(taken(device, partial(surfelize, device, drawables, dss.extent, view)))
+                    made.append(busy(device, partial(surfelize, device, drawables, dss.extent, view)))
                 dss.shells.shuffle(1)
                 with device.scope():
                     splats = dss.find_splats(1)
                     fragments = splats.fragments()
-                    drawn.append(taken(device, partial(dss.splat, 1, splats)))
+                    drawn.append(busy(device, partial(dss.splat, 1, splats)))
             n = dss.surfels.count
             print(
                 f"{n:8d} {median(made) / n * 1e6:9.2f} {median(drawn) / n * 1e6:9.2f} {fragments / n:9.1f} fragments"
