@@ -33,7 +33,12 @@ class LitCells:
     Attributes:
         tree, cell_glow, cell_light: as `place` made them.
         n_bands: of the scene.
+        drawables: in the order in which cells have them.
     """
+
+    tree: CellTree
+    cell_glow: CellGlow
+    cell_light: CellLight
 
     def __init__(self, device: Device, surroundings: Surroundings, parameters: TransportParameters) -> None:
         self._device, self._around, self._parameters = device, surroundings, parameters

@@ -86,13 +86,9 @@ class SurfelGlow:
         if self._lit is not None:
             leaf, weight = self._around
             reflected = self._lit.reflected().reshape(-1, 2 * self._layers * 4).astype(np.float32)
-            values = (
-                values
-                + sum(
-                    weight[:, k, None].astype(np.float32) * reflected[leaf[:, k]]
-                    for k in range(leaf.shape[1])
-                ).ravel()
-            )
+            values = values.reshape(count, -1).copy()
+            for k in range(leaf.shape[1]):
+                values += weight[:, k, None].astype(np.float32) * reflected[leaf[:, k]]
         self.glow = float(values.max(initial=0.0))
         if self.glow > 0:
             self.radiances.write((values / np.float32(self.glow)).tobytes())

@@ -181,7 +181,7 @@ def test_lamp_light_that_is_reflected_charges_what_is_in_the_shadow(build, rooms
 
 @pytest.mark.parametrize(("method", "within"), [("dss", 0.03), ("dss-z", 0.14)])
 def test_surfels_send_what_their_surface_reflects_of_the_lamp(build, rooms, method, within):
-    """The plate, seen from the wall, which is behind the camera: L = ρ E / π. To 3 % as above; for dss-z to what disks of
+    """The plate, seen from the wall, which is behind the camera: L = ρ E / π. To 3 % as above; for dss-z what disks of
     1.4 times their radius leave open of a plane on which they lie at random: exp(-1.4²)."""
     build.camera(0.3, 0.3)
     build.gltf["nodes"][-1]["rotation"] = [0, 1, 0, 0]
