@@ -226,8 +226,10 @@ def test_directions_are_those_of_a_lambertian_times_the_cosine(device, build, ro
     each of three walls: at random, 35 degrees of freedom pass 57.3 once in a hundred times; even ones lie far below."""
     scene = load_scene(rooms.closed_box(build).write())
     wide = replace(scene, camera=replace(scene.camera, yfov_rad=2.6))
-    renderer, z = transport_of(device, wide, "dss-z", directions=16, filter_px=8, surfel=0.1, epsilon=0.3)
-    d, n = z.directions(), read_texture(renderer.gbuffer.normal_w)[..., :3].astype(np.float64)
+    renderer, z = transport_of(
+        device, wide, "dss-z", directions=16, guided=0.0, filter_px=8, surfel=0.1, epsilon=0.3
+    )
+    (d, _), n = z.directions(), read_texture(renderer.gbuffer.normal_w)[..., :3].astype(np.float64)
     assert np.sum(d * n[:, :, None], axis=-1).min() > -1e-3
     normals = set()
     for row, column in ((28, 28), (28, 8), (52, 28)):
@@ -255,7 +257,7 @@ def test_a_hit_is_the_nearest_disk_of_its_shell(device, build, rooms):
     disks = z.surfels.read().astype(np.float64)
     seen = read_texture(renderer.gbuffer.position_w)
     p = (seen[..., None, :3] - z.extent.centre) / z.extent.radius
-    d = z.directions()
+    d, _ = z.directions()
     centre, r, normal = disks[:, :3], disks[:, 3], disks[:, 4:7]
     height = np.einsum("hwdk,nk->hwdn", -p, normal) + np.sum(centre * normal, axis=1)
     with np.errstate(divide="ignore"):
