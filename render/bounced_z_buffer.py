@@ -229,8 +229,8 @@ class BouncedZBuffer:
         self._pixels.reflect(radiance, self.surfel_glow.glow)
 
     def directions(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Return (h, w, directions, 3) where each pixel looks, in the world, and (h, w, directions) how much what it meets
-        there weighs; row 0 is the lowest.
+        """Return (h, w, directions, 3) where each pixel looks, in the world, and (h, w, directions) how much that counts;
+        row 0 is the lowest.
         """
         w, h = self._around.size
         looks = np.frombuffer(self._looks.read(), dtype=np.uint32).reshape(h, w, -1, 2)

@@ -37,8 +37,8 @@ class TransportParameters:
 
     Args:
         method: a name in `glow_methods.METHODS`, or "none".
-        directions: in which a pixel looks for glow, 1 to 256 (tiles).
-        guided: the share of the directions that aim at what may send light (tiles).
+        directions: in which a pixel looks for glow, 1 to 256 (tiles, dss-z).
+        guided: the share of the directions that aim at what may send light (tiles, dss-z).
         filter_px: pixels to each side over which a pixel shares its neighbours' directions: 0, 2, 4 or 8 (tiles).
         cell: the radius of the smallest cell, as a share of the scene's (tiles).
         detail: the radius over the distance that no cell exceeds, unless it is one of the smallest (tiles).

@@ -102,6 +102,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="directions in which a pixel of tiles or dss-z looks for glow (default 8)",
     )
     parser.add_argument(
+        "--guided",
+        metavar="SHARE",
+        type=float,
+        help="share of the directions of tiles and dss-z that aim at what may send light (default 0.5)",
+    )
+    parser.add_argument(
         "--filter",
         metavar="PX",
         type=int,
@@ -274,6 +280,7 @@ def _transport(args: argparse.Namespace) -> TransportParameters:
 
     said = {
         "directions": args.directions,
+        "guided": args.guided,
         "filter_px": args.filter,
         "cell": args.cell,
         "detail": args.detail,
