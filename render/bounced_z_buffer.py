@@ -229,7 +229,9 @@ class BouncedZBuffer:
         self._pixels.reflect(radiance, self.surfel_glow.glow)
 
     def directions(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Return (h, w, n, 3) each pixel's directions, in the world, and (h, w, n) their weights; row 0 is the lowest."""
+        """Return (h, w, n, 3) each pixel's directions, in the world, and (h, w, n) their weights; row 0 lies
+        lowest.
+        """
         w, h = self._around.size
         looks = np.frombuffer(self._looks.read(), dtype=np.uint32).reshape(h, w, -1, 2)
         packed = np.ascontiguousarray(looks[..., 0]).view(np.int16).reshape(h, w, -1, 2)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phoslab.render import TransportParameters, render
+from phoslab.render import TransportParameters, load_scene, render
+from phoslab.render.renderer import Renderer, RenderParameters
 
 TILES = TransportParameters("tiles", directions=4, guided=0.0)
 
@@ -85,3 +86,20 @@ def test_a_camera_inside_a_wall_sees_black_and_says_so(build, rooms, way):
     frames = glow(path, transport=way)
     assert frames[0].radiance.max() == 0
     assert any("is black" in warning for warning in frames.warnings)
+
+
+def test_a_cell_of_a_quarter_of_a_million_texels_sends_their_mean(build, rooms, device):
+    """A stamp with a fine atlas in a wide room is one cell: no loop of a shader may end before its last texel."""
+    stamp = 0.02 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    build.mesh("stamp", stamp)
+    floor = np.array([[-9.0, -1, -9], [9, -1, -9], [9, -1, 9], [-9, -1, 9]])
+    build.mesh("floor", floor, np.array([[0, 2, 1], [0, 3, 2]]), uv=None).camera()
+    toml = rooms.write_material(build, "stamp", [1.0, 2.0, 4.0], [0.5] * 3).replace("= 64", "= 512")
+    path = build.text(toml + rooms.SATURATED).write()
+    renderer = Renderer(device, load_scene(path), RenderParameters((8, 8), 1, transport=TILES))
+    renderer.frame(0.0)
+    emitted = renderer.transport.cell_glow.emitted()
+    sends = emitted.max(axis=1) > 0
+    assert sends.sum() == 1
+    # 2^18 shares of 2^-18 are added in float32, each sum rounded: on the mean far below, at worst 2^18 2^-24.
+    np.testing.assert_allclose(emitted[sends][0, :3], [1, 2, 4], rtol=2**-6)
