@@ -88,9 +88,7 @@ class CellGlow:
 
 
 class _TexelLists:
-    """The texels of one phosphor's smallest cells: `count` of them from `first` on, in the count of all leaves; `most` of
-    one.
-    """
+    """The texels of one phosphor's smallest cells: `count` of them from `first` on, among all leaves; `most` of one."""
 
     def __init__(
         self, device: Device, glow: AtlasGlow, first: int, ends: NDArray[np.intp], texels: NDArray[np.uint32]
