@@ -25,9 +25,7 @@ DSS, DSS_Z = TransportParameters("dss"), TransportParameters("dss-z")
 SETTINGS = {
     "dss, surfel 0.04, epsilon 0.1": TransportParameters("dss", epsilon=0.1, surfel=0.04),
     "dss": DSS,
-    "dss, epsilon 0.005": TransportParameters("dss", epsilon=0.005),
     "dss, surfel 0.01, epsilon 0.005": TransportParameters("dss", epsilon=0.005, surfel=0.01),
-    "dss-z, 1 direction": TransportParameters("dss-z", directions=1),
     "dss-z, 4 directions": TransportParameters("dss-z", directions=4),
     "dss-z": DSS_Z,
     "dss-z, none aimed": TransportParameters("dss-z", guided=0.0),
