@@ -4,7 +4,8 @@ surfelize          disks of about one size on the screen, of all that blocks   o
 receiver_bounds    least and greatest coordinates of blocks of pixels          once
 shell_receivers    what pixels see, in the order of a level's sub-buffers      once, per level
 shell_cull         the splats that reach a pixel                               once, per level
-bounce_begin       directions, and an empty z-buffer                           once, per level
+bounce_directions  where each pixel looks: at random, and at what glows        once
+bounce_begin       the directions of a level's pixels, and an empty z-buffer   once, per level
 bounce_splat       the nearest disk that each direction meets                  once, per level
 bounce_hits        back to the pixels; what a finer level found stands         once, per level
 surfel_glow        what each disk sends                                        per picture
@@ -29,6 +30,8 @@ from phoslab.render.device import Device, read_texture, set_uniforms
 from phoslab.render.directions import patterned_points
 from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import Surroundings, TransportParameters
+from phoslab.render.guides import GUIDES, make_guides
+from phoslab.render.lit_cells import LitCells
 from phoslab.render.memory import check_room
 from phoslab.render.optics import layer_count
 from phoslab.render.passes import Picture, false_normal
@@ -62,19 +65,22 @@ class BouncedZBuffer:
     def __init__(self, device: Device, surroundings: Surroundings, parameters: TransportParameters) -> None:
         self._device, self._around, self._parameters = device, surroundings, parameters
         w, h = surroundings.size
+        # One at least goes anywhere: what guides do not lead to is not lost then.
+        aimed = min(round(parameters.directions * parameters.guided), parameters.directions - 1)
+        aimless = parameters.directions - aimed
         n, pattern = parameters.directions, max(1, parameters.filter_px)
-        check_room(3 * w * h * n * 4, "what a picture's directions hit")
+        check_room(5 * w * h * n * 4, "what a picture's directions hit")
         self._layers = layer_count(surroundings.scene.transport.n)
-        self._pixels = GlowPixels(device, surroundings, Extent.of(surroundings.drawables), looks=n)
+        self._pixels = GlowPixels(device, surroundings, Extent.of(surroundings.drawables), looks=aimless)
+        self.lit_cells = LitCells(device, surroundings, parameters) if parameters.follows_cells else None
         self._made: list[Any] = []
-        self._points = device.buffer(patterned_points(pattern, n).astype(np.float32))
-        self._hits = device.reserve(w * h * n * 4)
+        points = [patterned_points(pattern, m, seed) for seed, m in enumerate((aimless, aimed)) if m]
+        self._points = device.buffer(np.concatenate(points, axis=2).astype(np.float32))
+        self._hits, self._looks = device.reserve(w * h * n * 4), device.reserve(w * h * n * 8)
+        self._guides = device.reserve(GUIDES * 32)
         self._directions = {"DIRECTIONS": n}
-        self._defines = {
-            "DIRECTIONS": n,
-            "PATTERN": pattern,
-            "SUPERSAMPLING": surroundings.supersampling,
-        }
+        self._defines = {"DIRECTIONS": n, "SUPERSAMPLING": surroundings.supersampling}
+        self._choice = {"AIMLESS": aimless, "PATTERN": pattern, "GUIDES": GUIDES}
         self._program = device.program("bounce_splat", defines=self._directions)
         self._quads = device.vertex_array(self._program)
 
@@ -84,10 +90,14 @@ class BouncedZBuffer:
         device.release(*self._made)
         self.extent = self._pixels.extent = Extent.of(around.drawables)
         view = View.of(around.gbuffer.camera, self.extent, p.surfel)
+        if self.lit_cells is not None:
+            self.lit_cells.place()
         self.surfels = surfelize(device, around.drawables, self.extent, view)
         n_bands = around.scene.transport.n
-        self.surfel_glow = SurfelGlow(device, self.surfels, around.glows, around.atlases, n_bands)
+        lit = self.lit_cells if p.sends_on else None
+        self.surfel_glow = SurfelGlow(device, self.surfels, around.glows, around.atlases, n_bands, lit)
         self._made = [self.surfels.buffer, *self.surfel_glow.made]
+        self._choose_directions()
         levels = choose_levels(p.levels, self.surfels, p.epsilon, around.size)
         self.first_shell = first_shell(radius_of(self.surfels, 0.5), p.epsilon)
         self._surfel_bits = max(1, int(self.surfels.count - 1).bit_length())
@@ -112,6 +122,15 @@ class BouncedZBuffer:
             if name in buffers:
                 buffers[name].bind_to_storage_buffer(place)
 
+    def _choose_directions(self) -> None:
+        disks = self.surfels.read()
+        glows = [d.number for d in self._around.drawables if d.material is not None]
+        self._guides.write(make_guides(disks, np.isin(disks[:, 7], glows)).tobytes())
+        shader = self._device.compute("bounce_directions", {**self._defines, **self._choice})
+        self._pixels.bind_receivers(shader)
+        self._bind(points=self._points, looks=self._looks, guides=self._guides)
+        self._device.dispatch(shader, self._around.size)
+
     def _begin(
         self,
         level: int,
@@ -122,7 +141,7 @@ class BouncedZBuffer:
     ) -> None:
         shader = self._device.compute("bounce_begin", self._defines)
         self._pixels.bind_receivers(shader)
-        self._bind(depths=depths, directions=directions, points=self._points, hits=hits)
+        self._bind(depths=depths, directions=directions, looks=self._looks, hits=hits)
         shells.position.bind_to_image(0, read=True, write=True)
         set_uniforms(shader, level=level, seed=SEED, row=shells.size[0])
         self._device.dispatch(shader, shells.size)
@@ -139,7 +158,7 @@ class BouncedZBuffer:
             self.surfels,
             self.surfel_glow.radiances,
             level,
-            {"LAYERS": self._layers, "BOUNCED": 1},
+            {"BOUNCED": 1},
             first_shell=self.first_shell,
             inflation=INFLATION,
             last=last,
@@ -164,7 +183,7 @@ class BouncedZBuffer:
 
     def _find_hits(self, level: int, depths: moderngl.Buffer) -> None:
         shader = self._device.compute("bounce_hits", self._defines)
-        self._bind(depths=depths, hits=self._hits, points=self._points)
+        self._bind(depths=depths, hits=self._hits)
         set_uniforms(
             shader,
             level=level,
@@ -186,12 +205,20 @@ class BouncedZBuffer:
         self.surfel_glow.run()
         if self.surfel_glow.glow == 0.0:
             return
-        shader = self._device.compute("bounce_light", {**self._defines, "LAYERS": self._layers})
+        shader = self._device.compute(
+            "bounce_light",
+            {
+                **self._defines,
+                "LAYERS": self._layers,
+                "SIDES": self.surfel_glow.sides,
+                "AIMLESS": self._choice["AIMLESS"],
+            },
+        )
         self._pixels.bind_receivers(shader)
         self._bind(
             surfels=self.surfels.buffer,
             radiances=self.surfel_glow.radiances,
-            points=self._points,
+            looks=self._looks,
             hits=self._hits,
             nearness=self._pixels.nearness,
         )
@@ -201,24 +228,19 @@ class BouncedZBuffer:
             self._pixels.filter(self._parameters.filter_px)
         self._pixels.reflect(radiance, self.surfel_glow.glow)
 
-    def directions(self) -> NDArray[np.float64]:
-        """Return (h, w, directions, 3) where each pixel looks, in the world; row 0 is the lowest."""
+    def directions(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Return (h, w, n, 3) each pixel's directions, in the world, and (h, w, n) their weights; row 0 lies
+        lowest.
+        """
         w, h = self._around.size
-        n = w * h * self._parameters.directions
-        with self._device.scope():
-            # On level 0 the sub-buffer is the picture. Without hits, every direction is open.
-            shells = ShellLevels(self._device, self._around, self._pixels, self.extent, 1)
-            words, depths = (self._device.reserve(4 * n) for _ in range(2))
-            none = self._device.buffer(np.zeros(n, dtype=np.uint32))
-            shells.shuffle(0)
-            self._begin(0, shells, depths, words, none)
-            packed = np.frombuffer(words.read(), dtype=np.int16).reshape(h, w, -1, 2)
+        looks = np.frombuffer(self._looks.read(), dtype=np.uint32).reshape(h, w, -1, 2)
+        packed = np.ascontiguousarray(looks[..., 0]).view(np.int16).reshape(h, w, -1, 2)
         xy = np.maximum(packed / 32767.0, -1.0)
         z = 1.0 - np.abs(xy).sum(axis=-1, keepdims=True)
         folded = (1.0 - np.abs(xy[..., ::-1])) * np.where(xy >= 0, 1.0, -1.0)
         d = np.concatenate([np.where(z >= 0, xy, folded), z], axis=-1)
         unit: NDArray[np.float64] = d / np.linalg.norm(d, axis=-1, keepdims=True)
-        return unit
+        return unit, looks[..., 1].view(np.float32)
 
     def debug_views(self) -> dict[str, Picture]:
         """The light that falls on each pixel, the surfels where they are seen, and of each pixel's first direction:
@@ -236,7 +258,7 @@ class BouncedZBuffer:
         return {
             "light": self._pixels.picture(),
             "surfels": picture_of(self.surfels, self._around.gbuffer, self.extent),
-            "directions": false_normal(self.directions()[::-1, :, 0], seen[..., 3] > 0),
+            "directions": false_normal(self.directions()[0][::-1, :, 0], seen[..., 3] > 0),
             "hits": np.where(met, colours(surfel), 0.0),
             "levels": np.where(met, colours(level), 0.0),
             "shells": np.repeat(np.clip(share, 0.0, 1.0)[..., None], 3, axis=-1),
@@ -253,5 +275,7 @@ BINDINGS = {
     "points": 5,
     "hits": 6,
     "nearness": 7,
+    "looks": 8,
+    "guides": 9,
 }
 LEVEL_BIT = 28

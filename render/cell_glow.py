@@ -18,6 +18,9 @@ from phoslab.render.passes import Picture
 
 Array = NDArray[np.float64]
 
+# Texels of a cell that are added at a time: Mesa's llvmpipe ends all loops of a shader after 65535 turns, silently.
+PART = 1 << 15
+
 
 class CellGlow:
     """Averages the phosphors' atlases over the smallest cells, then those over the larger ones.
@@ -40,7 +43,7 @@ class CellGlow:
             np.zeros((len(cells.leaf_areas), self._layers, 4), dtype=np.float32)
         )
         self.radiances = device.buffer(np.zeros((len(cells.skip), 2, self._layers, 4), dtype=np.float32))
-        self._program = device.compute(self.name, {"LAYERS": self._layers})
+        self._program = device.compute(self.name, {"LAYERS": self._layers, "PART": PART})
         self._lists = [
             _list_texels(device, glow, cells.patches[glow.drawable.number])
             for glow in glows
@@ -68,7 +71,9 @@ class CellGlow:
             texels.texels.bind_to_storage_buffer(1)
             self._leaf_radiances.bind_to_storage_buffer(2)
             set_uniforms(self._program, radiance=0, first=texels.first, count=texels.count)
-            self._device.dispatch(self._program, (texels.count, 1), group=(64, 1))
+            for part in range(0, texels.most, PART):
+                set_uniforms(self._program, part=part)
+                self._device.dispatch_items(self._program, texels.count)
         leaves = np.frombuffer(self._leaf_radiances.read(), dtype="f4").astype(np.float64)
         return leaves.reshape(len(self._cells.leaf_areas), -1)
 
@@ -83,13 +88,14 @@ class CellGlow:
 
 
 class _TexelLists:
-    """The texels of one phosphor's smallest cells: `count` of them from `first` on, in the count of all leaves."""
+    """The texels of one phosphor's smallest cells: `count` of them from `first` on, among all leaves; `most` of one."""
 
     def __init__(
-        self, glow: AtlasGlow, first: int, count: int, ends: moderngl.Buffer, texels: moderngl.Buffer
+        self, device: Device, glow: AtlasGlow, first: int, ends: NDArray[np.intp], texels: NDArray[np.uint32]
     ) -> None:
-        self.glow, self.first, self.count = glow, first, count
-        self.ends, self.texels = ends, texels
+        self.glow, self.first, self.count = glow, first, len(ends) - 1
+        self.most = int(np.diff(ends).max())
+        self.ends, self.texels = device.buffer(ends.astype(np.uint32)), device.buffer(texels)
 
 
 def _list_texels(device: Device, glow: AtlasGlow, patches: Patches) -> _TexelLists:
@@ -112,7 +118,7 @@ def _list_texels(device: Device, glow: AtlasGlow, patches: Patches) -> _TexelLis
     listed = np.zeros((len(of), 4), dtype=np.uint32)
     listed[:, 0], listed[:, 1] = column[order], row[order]
     listed[:, 2] = share[order].astype(np.float32).view(np.uint32)
-    return _TexelLists(glow, first, count, device.buffer(ends.astype(np.uint32)), device.buffer(listed))
+    return _TexelLists(device, glow, first, ends, listed)
 
 
 def _draw(

@@ -63,7 +63,7 @@ class CellRays:
             for k, buffer in enumerate(buffers):
                 buffer.bind_to_storage_buffer(k)
             set_uniforms(shader, point_count=len(points), cell_count=len(tree.cells.skip))
-            device.dispatch(shader, (directions, len(points)))
+            device.dispatch_items(shader, directions * len(points))
 
     def gather(self, leaves: moderngl.Buffer, layers: int, light: moderngl.Buffer) -> None:
         """Write into `light` (n, layers, 4) E / π of each point.
@@ -75,7 +75,7 @@ class CellRays:
         for k, buffer in enumerate((self._hits, leaves, light)):
             buffer.bind_to_storage_buffer(k)
         set_uniforms(shader, point_count=self._n)
-        self._device.dispatch(shader, (self._n, 1), group=(64, 1))
+        self._device.dispatch_items(shader, self._n)
 
     def release(self) -> None:
         """Give its buffer back."""

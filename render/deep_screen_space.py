@@ -23,6 +23,7 @@ from phoslab.errors import PhoslabError
 from phoslab.render.device import Device, read_texture, set_uniforms
 from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import Surroundings, TransportParameters
+from phoslab.render.lit_cells import LitCells
 from phoslab.render.optics import layer_count
 from phoslab.render.passes import Picture, false_grey, side_by_side
 from phoslab.render.shells import SEED, ShellLevels, Splats, choose_levels
@@ -60,8 +61,11 @@ class DeepScreenSpace:
                 remedy="Give fewer (bands_nm), or use --gi tiles.",
             )
         self._pixels = GlowPixels(device, surroundings, Extent.of(surroundings.drawables))
+        self.lit_cells = LitCells(device, surroundings, parameters) if parameters.follows_cells else None
+        self._sends_on = parameters.sends_on
+        self._defines = {"LAYERS": self._layers, "SIDES": 2 if self._sends_on else 1}
         self._made: list[Any] = []
-        self._program = device.program("shell_splat", defines={"LAYERS": self._layers})
+        self._program = device.program("shell_splat", defines=self._defines)
         self._quads = device.vertex_array(self._program)
 
     def prepare(self) -> None:
@@ -70,10 +74,13 @@ class DeepScreenSpace:
         device.release(*self._made)
         self.extent = self._pixels.extent = Extent.of(around.drawables)
         view = View.of(around.gbuffer.camera, self.extent, p.surfel)
-        senders = [d for d in around.drawables if d.material is not None]
+        if self.lit_cells is not None:
+            self.lit_cells.place()
+        senders = [d for d in around.drawables if d.material is not None or self._sends_on]
         self.surfels = surfelize(device, senders, self.extent, view)
         n_bands = around.scene.transport.n
-        self.surfel_glow = SurfelGlow(device, self.surfels, around.glows, around.atlases, n_bands)
+        lit = self.lit_cells if self._sends_on else None
+        self.surfel_glow = SurfelGlow(device, self.surfels, around.glows, around.atlases, n_bands, lit)
         levels = choose_levels(p.levels, self.surfels, p.epsilon, around.size)
         self.shells = ShellLevels(
             device, around, self._pixels, self.extent, levels, culled=self.shells_culled
@@ -94,38 +101,50 @@ class DeepScreenSpace:
         self._pixels.clear()
         for level in reversed(range(self.shells.levels)):
             with self._device.scope():
-                self.shells.shuffle(level)
-                self.splat(level, self.find_splats(level))
+                self._light_level(level)
             self._unshuffle(level)
             if level > 0:
                 self._pixels.blur(1 << level - 1)
         self._pixels.reflect(radiance, self.surfel_glow.glow)
 
-    def find_splats(self, level: int) -> Splats:
-        """Return what is to be drawn into `level`."""
+    def _light_level(self, level: int) -> None:
+        self.shells.shuffle(level)
+        self._framebuffer.use()
+        self._framebuffer.clear()
+        for side in range(self._defines["SIDES"]):
+            self.splat(level, self.find_splats(level, side), side)
+
+    def find_splats(self, level: int, side: int = 0) -> Splats:
+        """Return what is to be drawn into `level` of light to the front (0) or the back (1)."""
         return self.shells.find_splats(
             self.surfels,
             self.surfel_glow.radiances,
             level,
-            {"LAYERS": self._layers},
+            self._defines,
+            side=side,
+            last=self._is_last(level),
             epsilon=self._parameters.epsilon,
         )
 
-    def splat(self, level: int, splats: Splats) -> None:
-        """Draw splats into the sub-buffers of `level`, whose receivers are shuffled."""
+    def splat(self, level: int, splats: Splats, side: int = 0) -> None:
+        """Add splats to the sub-buffers of `level`, whose receivers are shuffled."""
         ctx = self._device.ctx
         self._framebuffer.use()
-        self._framebuffer.clear()
         ctx.enable_only(moderngl.BLEND)
         ctx.blend_func = moderngl.ONE, moderngl.ONE
         for k, buffer in ((0, self.surfels.buffer), (1, self.surfel_glow.radiances), (4, splats.buffer)):
             buffer.bind_to_storage_buffer(k)
         self.shells.bind_shuffled(self._program)
-        set_uniforms(self._program, level=level, epsilon=self._parameters.epsilon)
+        shell = {"last": self._is_last(level), "epsilon": self._parameters.epsilon}
+        set_uniforms(self._program, level=level, side=side, **shell)
         if splats.count:
             self._quads.render(vertices=6 * splats.count)
         ctx.enable_only(moderngl.NOTHING)
         ctx.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
+
+    def _is_last(self, level: int) -> bool:
+        """Whether a level's shells have no end: the coarsest, unless the number of levels was asked for."""
+        return self._parameters.levels == 0 and level == self.shells.levels - 1
 
     def _unshuffle(self, level: int) -> None:
         shader = self._device.compute("shell_unshuffle")
@@ -146,8 +165,7 @@ class DeepScreenSpace:
         added, shells = [], []
         for level in range(self.shells.levels):
             with self._device.scope():
-                self.shells.shuffle(level)
-                self.splat(level, self.find_splats(level))
+                self._light_level(level)
             shells.append(false_grey(read_texture(self._targets[0])[::-1].sum(axis=-1)))
             self._pixels.clear()
             self._unshuffle(level)

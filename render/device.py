@@ -36,6 +36,8 @@ GL_VERSION = 430
 RENDERABLE = {1: 1, 2: 2, 3: 4, 4: 4}
 
 GROUP = (8, 8)  # the local size of compute shaders that do not say otherwise
+ITEMS = 64  # that of shaders that go over items
+MOST_GROUPS = 65535  # along a side of what is dispatched: what every device takes
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"\n', re.MULTILINE)
 
@@ -302,6 +304,16 @@ class Device:
             group: the shader's local size.
         """
         shader.run(-(-size[0] // group[0]), -(-size[1] // group[1]))
+        self.ctx.memory_barrier()
+
+    def dispatch_items(self, shader: moderngl.ComputeShader, n: int) -> None:
+        """Run `shader`, which includes `items.glsl`, over `n` items, or more than that: it passes over the others.
+
+        A device takes 65535 groups along a side at least, and silently runs none where there are more.
+        """
+        groups = max(1, -(-n // ITEMS))
+        rows = -(-groups // MOST_GROUPS)
+        shader.run(-(-groups // rows), rows)
         self.ctx.memory_barrier()
 
     def check_size(

@@ -37,8 +37,8 @@ class TransportParameters:
 
     Args:
         method: a name in `glow_methods.METHODS`, or "none".
-        directions: in which a pixel looks for glow, 1 to 256 (tiles).
-        guided: the share of the directions that aim at what may send light (tiles).
+        directions: in which a pixel looks for glow, 1 to 256 (tiles, dss-z).
+        guided: the share of the directions that aim at what may send light (tiles, dss-z).
         filter_px: pixels to each side over which a pixel shares its neighbours' directions: 0, 2, 4 or 8 (tiles).
         cell: the radius of the smallest cell, as a share of the scene's (tiles).
         detail: the radius over the distance that no cell exceeds, unless it is one of the smallest (tiles).
@@ -49,9 +49,9 @@ class TransportParameters:
         samples: light paths a pixel (reference).
         seed: of their chances (reference): pictures of two seeds differ by their noise alone.
         full: follow light to the end, not for one reflection alone (reference).
-        bounces: reflections on the way from a phosphor to the camera, at most (tiles, reference).
-        lamps: let surfaces light each other with what they reflect of the lamps, too (tiles).
-        excites: let the light of surfaces charge phosphors (tiles).
+        bounces: reflections on the way from a phosphor to the camera, at most (all).
+        lamps: let surfaces light each other with what they reflect of the lamps, too (all but reference).
+        excites: let the light of surfaces charge phosphors (all but reference).
     """
 
     method: str = NONE
@@ -91,7 +91,12 @@ class TransportParameters:
     @property
     def follows_cells(self) -> bool:
         """Whether light goes from cell to cell before it goes to the camera."""
-        return self.bounces > 1 or self.lamps or self.excites
+        return self.sends_on or self.excites
+
+    @property
+    def sends_on(self) -> bool:
+        """Whether surfaces send on to others what they reflect."""
+        return self.bounces > 1 or self.lamps
 
     @staticmethod
     def _check(field: str, value: float, low: float, high: float) -> None:

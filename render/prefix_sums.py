@@ -9,7 +9,6 @@ from phoslab.render.device import Device, set_uniforms
 
 CHUNK = 128  # values that one thread adds up
 BYTES = 8  # of a value: 64 bits, the low word first
-GROUP = (64, 1)
 
 
 def sum_buffer(device: Device, n: int) -> moderngl.Buffer:
@@ -49,4 +48,4 @@ def _run(
     # A value is not its own chunk: where there is one chunk only, none is read.
     chunks.bind_to_storage_buffer(1)
     set_uniforms(shader, count=n, has_chunks=n_chunks > 1)
-    device.dispatch(shader, (n_chunks, 1), group=GROUP)
+    device.dispatch_items(shader, n_chunks)

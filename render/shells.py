@@ -19,7 +19,7 @@ import numpy as np
 from phoslab.render.device import Device, set_uniforms
 from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import MOST_LEVELS, Surroundings
-from phoslab.render.prefix_sums import GROUP, prefix_sums, sum_buffer
+from phoslab.render.prefix_sums import prefix_sums, sum_buffer
 from phoslab.render.surfels import Extent, Surfels
 
 SPLAT_BYTES = 32  # of shaders/include/shells.glsl: an ivec4 and a uint, padded
@@ -141,7 +141,7 @@ class ShellLevels:
                 bounds_levels=len(self._bounds),
             )
             if n:
-                device.dispatch(shader, (n, 1), group=GROUP)
+                device.dispatch_items(shader, n)
             if not fill:
                 count = prefix_sums(device, sums, n)
                 splats = device.reserve(count * SPLAT_BYTES)

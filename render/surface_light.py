@@ -8,21 +8,48 @@ of its beginning. The error falls with the step.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from phoslab.errors import PhoslabError
 from phoslab.render.atlas_gather import AtlasGather
 from phoslab.render.atlas_glow import AtlasGlow
+from phoslab.render.bounced_z_buffer import BouncedZBuffer
+from phoslab.render.cell_glow import CellGlow
+from phoslab.render.cell_light import CellLight
+from phoslab.render.cell_rays import CellTree
+from phoslab.render.deep_screen_space import DeepScreenSpace
 from phoslab.render.device import Device
-from phoslab.render.glow_transport import NONE, GlowTransport, TransportParameters
+from phoslab.render.glow_transport import GlowTransport, TransportParameters
 from phoslab.render.phosphor_state import PhosphorState
-from phoslab.render.reference import Reference
 from phoslab.render.scene import Scene
 from phoslab.render.tiles import Tiles
 
 # A concentration that glow may bring and nobody would see.
 NEGLIGIBLE = 1e-4
+# The ways that know what surfaces send to each other.
+FOLLOWING = (Tiles.name, DeepScreenSpace.name, BouncedZBuffer.name)
+
+
+class FollowedCells(Protocol):
+    """The smallest cells of a scene, and what they send to each other."""
+
+    @property
+    def n_bands(self) -> int: ...
+
+    @property
+    def tree(self) -> CellTree | None: ...
+
+    @property
+    def cell_glow(self) -> CellGlow: ...
+
+    @property
+    def cell_light(self) -> CellLight | None: ...
+
+    def place(self) -> None:
+        """Make them anew where things have moved."""
+        ...
 
 
 def exciting_glow(scene: Scene, parameters: TransportParameters) -> tuple[tuple[str, ...], bool]:
@@ -33,17 +60,11 @@ def exciting_glow(scene: Scene, parameters: TransportParameters) -> tuple[tuple[
     Raises:
         PhoslabError: it was asked for with a way of transport that does not offer it.
     """
-    if parameters.bounces > 1 and parameters.method not in (NONE, Tiles.name, Reference.name):
-        raise PhoslabError(
-            f"are followed by --gi {Tiles.name} and {Reference.name} only",
-            field="several reflections (--bounces)",
-            remedy=f"Add --gi {Tiles.name}.",
-        )
     if not (parameters.excites or parameters.lamps):
         return (), False
-    if parameters.method != Tiles.name:
+    if parameters.method not in FOLLOWING:
         raise PhoslabError(
-            f"charge and light surfaces by --gi {Tiles.name} only",
+            f"charge and light surfaces by --gi {', '.join(FOLLOWING)} only",
             field="--glow-excites and --lamp-bounces",
             remedy=f"Add --gi {Tiles.name}.",
         )
@@ -75,12 +96,12 @@ class SurfaceLight:
     def __init__(
         self,
         device: Device,
-        tiles: Tiles,
+        cells: FollowedCells,
         glows: Sequence[AtlasGlow],
         states: Sequence[PhosphorState],
         lamps: bool,
     ) -> None:
-        self._device, self._tiles, self._glows, self._states = device, tiles, glows, states
+        self._device, self._cells, self._glows, self._states = device, cells, glows, states
         self._lamps = lamps
         self._gathers: dict[int, AtlasGather] = {}
         self._tree: object = None
@@ -95,14 +116,19 @@ class SurfaceLight:
         parameters: TransportParameters,
     ) -> SurfaceLight | None:
         """Return it where light of surfaces is to charge phosphors."""
-        if isinstance(transport, Tiles) and (parameters.lamps or parameters.excites):
-            return cls(device, transport, glows, states, parameters.lamps)
-        return None
+        cells: FollowedCells | None = None
+        if isinstance(transport, Tiles):
+            cells = transport
+        elif isinstance(transport, DeepScreenSpace | BouncedZBuffer):
+            cells = transport.lit_cells
+        if cells is None or not (parameters.lamps or parameters.excites):
+            return None
+        return cls(device, cells, glows, states, parameters.lamps)
 
     def place(self) -> None:
         """Find what the atlases see of the cells where these have been made anew."""
-        self._tiles.place()
-        tree = self._tiles.tree
+        self._cells.place()
+        tree = self._cells.tree
         if tree is self._tree:
             return
         assert tree is not None
@@ -110,13 +136,13 @@ class SurfaceLight:
             gather.release()
         self._tree = tree
         self._gathers = {
-            state.drawable.number: AtlasGather(self._device, tree, state.atlas, self._tiles.n_bands)
+            state.drawable.number: AtlasGather(self._device, tree, state.atlas, self._cells.n_bands)
             for state in self._states
         }
 
     def of_lamps(self, state: PhosphorState, factors: Mapping[str, float]) -> None:
         """Add to the irradiance of a phosphor what surfaces reflect of the lamps."""
-        cell_light = self._tiles.cell_light
+        cell_light = self._cells.cell_light
         if not self._lamps or cell_light is None or not any(factors.values()):
             return
         dark = np.zeros((len(cell_light.points), 4 * cell_light.layers))
@@ -124,11 +150,11 @@ class SurfaceLight:
 
     def of_glow(self, states: Sequence[PhosphorState]) -> None:
         """Find how the glow of all phosphors, as they are now, excites each."""
-        cell_light = self._tiles.cell_light
+        cell_light = self._cells.cell_light
         assert cell_light is not None
         for glow, state in zip(self._glows, states, strict=True):
             glow.run(state.shown.value)
-        radiances = cell_light.spread(self._tiles.cell_glow.emitted(), {})
+        radiances = cell_light.spread(self._cells.cell_glow.emitted(), {})
 
         def shine(state: PhosphorState) -> None:
             self._gathers[state.drawable.number].add(cell_light, radiances, state.light)

@@ -26,7 +26,7 @@ from phoslab.render.device import Device, set_uniforms
 from phoslab.render.gltf import GltfCamera
 from phoslab.render.gpu_scene import GpuDrawable
 from phoslab.render.memory import check_room
-from phoslab.render.prefix_sums import GROUP, prefix_sums, sum_buffer
+from phoslab.render.prefix_sums import prefix_sums, sum_buffer
 
 Array = NDArray[np.float64]
 
@@ -145,7 +145,7 @@ def surfelize(
             for k, buffer in enumerate(bound):
                 buffer.bind_to_storage_buffer(k)
             set_uniforms(shader, count=n, **view.uniforms, **uniforms)
-            device.dispatch(shader, (n, 1), group=GROUP)
+            device.dispatch_items(shader, n)
 
         parts = sum_buffer(device, n_triangles)
         run("PARTS", n_triangles, (triangles, parts, parts, parts))
@@ -195,6 +195,6 @@ def _gather_triangles(
             first=first,
             count=count,
         )
-        device.dispatch(shader, (count, 1), group=GROUP)
+        device.dispatch_items(shader, count)
         first += count
     return triangles, n

@@ -3,11 +3,11 @@
 layout(local_size_x = 8, local_size_y = 8) in;
 #include "receivers.glsl"
 #include "interleaved.glsl"
-#include "bounces.glsl"
 
 layout(std430, binding = 2) writeonly buffer Depths { uint depths[]; };         // DIRECTIONS a pixel
 layout(std430, binding = 3) writeonly buffer Directions { uint directions[]; }; // DIRECTIONS a pixel
 layout(std430, binding = 6) readonly buffer Hits { uint hits[]; };              // DIRECTIONS a pixel, in the picture's order
+layout(std430, binding = 8) readonly buffer Looks { uvec2 looks[]; };           // the same: direction and weight
 layout(rgba32f, binding = 0) uniform image2D shuffled_position;
 uniform int row; // pixels of a row of sub-buffers
 
@@ -21,10 +21,11 @@ void main() {
     for (int k = 0; k < DIRECTIONS; ++k) {
         int word = (at.y * row + at.x) * DIRECTIONS + k;
         // What a finer level has found is nearer than all that this one may find.
-        bool open = there && hits[(pixel.y * size.x + pixel.x) * DIRECTIONS + k] == 0u;
+        int look = (pixel.y * size.x + pixel.x) * DIRECTIONS + k;
+        bool open = there && hits[look] == 0u && looks[look].y != 0u;
         any_open = any_open || open;
         depths[word] = open ? 0xffffffffu : 0u;
-        directions[word] = open ? choose_direction(pixel, k, n) : 0u;
+        directions[word] = open ? looks[look].x : 0u;
     }
     if (!any_open) imageStore(shuffled_position, at, vec4(0.0));
 }

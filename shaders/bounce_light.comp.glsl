@@ -1,15 +1,16 @@
 #version 430
-// The mean radiance that a pixel's directions meet, in units of the frame's glow: E / π. Directions crowd as BRDF times
-// cosine, which are Lambert's here, so each counts alike; the reflectance is applied where the light is reflected.
+// The mean radiance that a pixel's directions meet, by their weights and in units of the frame's glow: E / π. Weights are
+// those of Lambert's BRDF times cosine; the reflectance is applied where the light is reflected.
 layout(local_size_x = 8, local_size_y = 8) in;
 #include "receivers.glsl"
 #include "surfels.glsl"
 #include "bounces.glsl"
 
 layout(std430, binding = 0) readonly buffer Surfels { Surfel surfels[]; };
-layout(std430, binding = 1) readonly buffer Radiances { vec4 radiances[]; };
+layout(std430, binding = 1) readonly buffer Radiances { vec4 radiances[]; }; // LAYERS a side
 layout(std430, binding = 6) readonly buffer Hits { uint hits[]; };
-layout(std430, binding = 7) writeonly buffer Nearness { float nearness[]; }; // sum of 1 / distance met
+layout(std430, binding = 7) writeonly buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless
+layout(std430, binding = 8) readonly buffer Looks { uvec2 looks[]; }; // direction and weight; DIRECTIONS a pixel
 layout(rgba32f, binding = 0) writeonly uniform image2DArray light;
 
 void main() {
@@ -26,11 +27,13 @@ void main() {
         if (hit == 0u) continue;
         uint surfel = surfel_of(hit);
         float height = dot(surfels[surfel].place.xyz - p, surfels[surfel].facing.xyz);
-        float cosine = dot(unpack_direction(choose_direction(pixel, k, n)), surfels[surfel].facing.xyz);
-        near += abs(cosine / height);
-        // A back blocks and is dark.
-        if (cosine >= 0.0) continue;
-        for (int l = 0; l < LAYERS; ++l) L[l] += radiances[surfel * uint(LAYERS) + uint(l)];
+        float cosine = dot(unpack_direction(looks[first + k].x), surfels[surfel].facing.xyz);
+        if (k < AIMLESS) near += abs(cosine / height);
+        // A back blocks, and is dark where surfels send what glows alone.
+        uint side = cosine < 0.0 ? 0u : 1u;
+        if (side >= uint(SIDES)) continue;
+        float weight = uintBitsToFloat(looks[first + k].y);
+        for (int l = 0; l < LAYERS; ++l) L[l] += weight * radiances[(surfel * uint(SIDES) + side) * uint(LAYERS) + uint(l)];
     }
     nearness[pixel.y * size.x + pixel.x] = near;
     for (int l = 0; l < LAYERS; ++l) imageStore(light, ivec3(pixel, l), L[l] / float(DIRECTIONS));

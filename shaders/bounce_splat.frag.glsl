@@ -15,7 +15,6 @@ uniform int level;
 uniform vec2 shell;     // where hits may be, as distances along the ray
 uniform int surfel_bits;
 
-const int PATTERN = 1;
 #include "bounces.glsl"
 
 const float COPLANAR = 2e-5, PARALLEL = 0.8, RIM = 2.0;

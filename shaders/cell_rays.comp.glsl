@@ -1,7 +1,8 @@
 #version 430
 // The nearest of the smallest cells on each ray of some points: a walk down the tree, past what the ray cannot meet.
 // The rays of a point crowd as the cosine; those of the next are the same, moved on within the unit square.
-layout(local_size_x = 8, local_size_y = 8) in;
+layout(local_size_x = 64) in;
+#include "items.glsl"
 #include "hemisphere.glsl"
 
 struct Test {
@@ -35,8 +36,9 @@ uint hash(uint x) { // Wellons's lowbias32
 }
 
 void main() {
-    int k = int(gl_GlobalInvocationID.x), at = int(gl_GlobalInvocationID.y);
-    if (k >= DIRECTIONS || at >= point_count) return;
+    uint item = item_number();
+    int k = int(item % uint(DIRECTIONS)), at = int(item / uint(DIRECTIONS));
+    if (at >= point_count) return;
     Point point = points[at];
     uint hit = 0u;
     if (point.position.w > 0.0) {

@@ -1,6 +1,7 @@
 #version 430
 // Exclusive sums of 64-bit integers, in place: chunks are summed, then each is spread from what came before it.
 layout(local_size_x = 64) in;
+#include "items.glsl"
 
 layout(std430, binding = 0) buffer Values { uvec2 values[]; }; // low word first
 layout(std430, binding = 1) buffer Chunks { uvec2 chunks[]; };
@@ -14,7 +15,7 @@ uvec2 add(uvec2 a, uvec2 b) {
 }
 
 void main() {
-    uint chunk = gl_GlobalInvocationID.x, begin = chunk * uint(CHUNK);
+    uint chunk = item_number(), begin = chunk * uint(CHUNK);
     if (begin >= count) return;
     uint end = min(begin + uint(CHUNK), count);
 #ifdef SPREAD

@@ -5,12 +5,13 @@
 // before the surfel. All of it is conservative: what is left out would have been rejected pixel by pixel.
 // Without FILL surfels are counted; with it, after prefix sums, the splats are written.
 layout(local_size_x = 64) in;
+#include "items.glsl"
 #include "surfels.glsl"
 #include "interleaved.glsl"
 #include "shells.glsl"
 
 layout(std430, binding = 0) readonly buffer Surfels { Surfel surfels[]; };
-layout(std430, binding = 1) readonly buffer Radiances { vec4 radiances[]; };
+layout(std430, binding = 1) readonly buffer Radiances { vec4 radiances[]; }; // LAYERS a side
 layout(std430, binding = 2) readonly buffer Boxes { vec4 boxes[]; };
 layout(std430, binding = 3) buffer Sums { uvec2 sums[]; };
 layout(std430, binding = 4) writeonly buffer Splats { Splat splats[]; };
@@ -23,12 +24,13 @@ uniform bool culled;        // false: every surfel that may send is splatted all
 uniform int bounds_levels;
 uniform ivec3 bounds[16];   // size and first box of each level of the MIP map; the first is of blocks of 4 x 4
 
+uniform bool last;          // the shell has no end
 #ifdef BOUNCED
 uniform float first_shell;  // its outer radius, the same for all surfels
 uniform float inflation;
-uniform bool last;
 #else
 uniform float epsilon;
+uniform int side; // 0: surfels send to the front; 1: to the back
 #endif
 
 const float SLACK = 1e-4; // of rounding, in units of the scene's radius
@@ -45,13 +47,13 @@ bool find_shell(Surfel s, uint k, out float inner, out float outer) {
 #else
     float L = 0.0;
     for (int l = 0; l < LAYERS; ++l) {
-        vec4 v = radiances[k * LAYERS + l];
+        vec4 v = radiances[(k * uint(SIDES) + uint(side)) * uint(LAYERS) + uint(l)];
         L = max(L, max(max(v.x, v.y), max(v.z, v.w)));
     }
-    float most = s.place.w * sqrt(max(L / epsilon - 1.0, 0.0));
-    outer = most * wider;
+    outer = sqrt(first_reach2(s.place.w, L, epsilon)) * wider;
     inner = level == 0 ? 0.0 : 0.5 * outer;
-    return most > 0.0;
+    if (last) outer = max(outer, sqrt(ACROSS2));
+    return L > 0.0;
 #endif
 }
 
@@ -73,12 +75,12 @@ bool boxes_in_reach(Surfel s, float inner, float outer, ivec4 pixels) {
             int at = 2 * (bounds[m].z + y * bounds[m].x + x);
             vec3 low = boxes[at].xyz, high = boxes[at + 1].xyz;
             if (low.x > high.x) continue;
-            vec3 c = s.place.xyz, n = s.facing.xyz;
+            vec3 c = s.place.xyz;
             vec3 gap = max(max(low - c, c - high), 0.0), across = max(abs(low - c), abs(high - c));
             if (length(gap) > outer + SLACK || length(across) < inner - SLACK) continue;
 #ifndef BOUNCED
             // The corner farthest along the normal is behind: so are all.
-            vec3 corner = mix(low, high, greaterThan(n, vec3(0.0)));
+            vec3 n = float(1 - 2 * side) * s.facing.xyz, corner = mix(low, high, greaterThan(n, vec3(0.0)));
             if (dot(n, corner - c) < -SLACK) continue;
 #endif
             return true;
@@ -87,7 +89,7 @@ bool boxes_in_reach(Surfel s, float inner, float outer, ivec4 pixels) {
 }
 
 void main() {
-    uint k = gl_GlobalInvocationID.x;
+    uint k = item_number();
     if (k >= count) return;
     Surfel s = surfels[k];
     ivec2 blocks = count_blocks(size);

@@ -1,6 +1,7 @@
 #version 430
 // One drawable's triangles, in the coordinates of the surfels.
 layout(local_size_x = 64) in;
+#include "items.glsl"
 #include "surfels.glsl"
 
 layout(std430, binding = 0) readonly buffer Positions { float positions[]; }; // three a vertex
@@ -24,7 +25,7 @@ vec2 coordinate(uint v) {
 }
 
 void main() {
-    int k = int(gl_GlobalInvocationID.x);
+    int k = int(item_number());
     if (k >= count) return;
     uvec3 v = uvec3(indices[3 * k], indices[3 * k + 1], indices[3 * k + 2]);
     vec3 a = corner(v.x), b = corner(v.y), c = corner(v.z);

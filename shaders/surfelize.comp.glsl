@@ -7,6 +7,7 @@
 // SHARES  point    -> the share of an ideal surfel that it stands for, at most 1
 // SURFELS point    -> a surfel of the ideal size, wherever the sum of the shares passes a whole number
 layout(local_size_x = 64) in;
+#include "items.glsl"
 #include "surfelization.glsl"
 
 layout(std430, binding = 0) readonly buffer Triangles { Triangle triangles[]; };
@@ -44,7 +45,7 @@ uint find_point(uint item, out uint k) {
 }
 
 void main() {
-    uint item = gl_GlobalInvocationID.x;
+    uint item = item_number();
     if (item >= count) return;
 #if STEP == PARTS
     sums[item] = uvec2(triangles[item].b.w > 0.0 ? 1u << (2 * halvings(triangles[item])) : 0u, 0u);

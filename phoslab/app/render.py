@@ -102,6 +102,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="directions in which a pixel of tiles or dss-z looks for glow (default 8)",
     )
     parser.add_argument(
+        "--guided",
+        metavar="SHARE",
+        type=float,
+        help="share of the directions of tiles and dss-z that aim at what may send light (default 0.5)",
+    )
+    parser.add_argument(
         "--filter",
         metavar="PX",
         type=int,
@@ -155,17 +161,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         type=_count,
         default=1,
-        help="reflections of glow on its way to the camera, 1 (default) to 64; by tiles or reference",
+        help="reflections of glow on its way to the camera, 1 (default) to 64; by any --gi",
     )
     parser.add_argument(
         "--lamp-bounces",
         action="store_true",
-        help="let surfaces light and charge others with what they reflect of the lamps, too; by tiles",
+        help="let surfaces light and charge others with what they reflect of the lamps, too; not by reference",
     )
     parser.add_argument(
         "--glow-excites",
         action="store_true",
-        help="let the light of phosphors charge phosphors, step by step; by tiles",
+        help="let the light of phosphors charge phosphors, step by step; not by reference",
     )
     parser.add_argument(
         "--size", metavar="WxH", type=_size, help="size of the picture in pixels (default: the scene's)"
@@ -274,6 +280,7 @@ def _transport(args: argparse.Namespace) -> TransportParameters:
 
     said = {
         "directions": args.directions,
+        "guided": args.guided,
         "filter_px": args.filter,
         "cell": args.cell,
         "detail": args.detail,

@@ -1,14 +1,15 @@
 """Measure deep screen space: python tests/benchmarks/shell_splat.py [SCENE]
 
 Fragments a second of the splats, beside those of a shader that only writes one colour into the same targets; what a
-surfel costs, from thousands to hundreds of thousands of them; and the memory that the passes take at 768 x 512, atlases
-and meshes apart. Medians of 5, in turns. Nalbach, Ritschel and Seidel (2014, 2015) report 84 MB.
+surfel costs, from ten thousand to a million; what each stage takes of a core; and the memory that the passes take at
+768 x 512, atlases and meshes apart. Medians of 5, in turns. Nalbach, Ritschel and Seidel (2014, 2015) report 84 MB.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
 from statistics import median
@@ -17,11 +18,14 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from phoslab.render import TransportParameters, load_scene
+from phoslab.render import TransportParameters, bounced_z_buffer, deep_screen_space, load_scene
 from phoslab.render.bounced_z_buffer import BouncedZBuffer
 from phoslab.render.deep_screen_space import DeepScreenSpace
 from phoslab.render.device import Device, source
+from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.renderer import Renderer, RenderParameters
+from phoslab.render.shells import ShellLevels
+from phoslab.render.surfel_glow import SurfelGlow
 from phoslab.render.surfels import View, surfelize
 from phoslab.sample_data.make_scenes import SCENES
 
@@ -88,9 +92,18 @@ def measure_fragments(device: Device, scene: Any) -> None:
     plain.release()
 
 
+def busy(device: Device, run: Callable[[], Any]) -> float:
+    """Return how long `run` keeps cores busy, in s: other programs matter less than in `taken`."""
+    device.ctx.finish()
+    start = time.process_time()
+    run()
+    device.ctx.finish()
+    return time.process_time() - start
+
+
 def measure_surfels(device: Device, scene: Any) -> None:
-    print("surfels   surfelize   splat: us a surfel, with as many fragments each")
-    for radius in (0.02, 0.0063, 0.002):
+    print("surfels   surfelize   splat: us of a core a surfel, with as many fragments each")
+    for radius in (0.011, 0.0035, 0.00114):
         with device.scope():
             parameters = TransportParameters("dss", surfel=radius, epsilon=0.05)
             renderer = Renderer(device, scene, RenderParameters(SIZE, 1, transport=parameters))
@@ -101,16 +114,78 @@ def measure_surfels(device: Device, scene: Any) -> None:
             made, drawn, fragments = [], [], 1
             for _ in range(RUNS):
                 with device.scope():
-                    made.append(taken(device, partial(surfelize, device, drawables, dss.extent, view)))
+                    made.append(busy(device, partial(surfelize, device, drawables, dss.extent, view)))
                 dss.shells.shuffle(1)
                 with device.scope():
                     splats = dss.find_splats(1)
                     fragments = splats.fragments()
-                    drawn.append(taken(device, partial(dss.splat, 1, splats)))
+                    drawn.append(busy(device, partial(dss.splat, 1, splats)))
             n = dss.surfels.count
             print(
                 f"{n:8d} {median(made) / n * 1e6:9.2f} {median(drawn) / n * 1e6:9.2f} {fragments / n:9.1f} fragments"
             )
+
+
+# What each of them does, without what it calls that is also among them.
+STAGES = [
+    (deep_screen_space, "surfelize"),
+    (bounced_z_buffer, "surfelize"),
+    (SurfelGlow, "run"),
+    (ShellLevels, "prepare"),
+    (ShellLevels, "shuffle"),
+    (ShellLevels, "find_splats"),
+    (DeepScreenSpace, "splat"),
+    (DeepScreenSpace, "_unshuffle"),
+    (BouncedZBuffer, "_choose_directions"),
+    (BouncedZBuffer, "_begin"),
+    (BouncedZBuffer, "_splat"),
+    (BouncedZBuffer, "_find_hits"),
+    (BouncedZBuffer, "run"),
+    (GlowPixels, "blur"),
+    (GlowPixels, "filter"),
+    (GlowPixels, "reflect"),
+]
+
+
+def measure_stages(scene: Any) -> None:
+    """One new view of the scene, stage by stage, over all levels."""
+    spent: dict[str, float] = defaultdict(float)
+    inner = [0.0]
+
+    def watched(name: str, step: Callable[..., Any], device: Device) -> Callable[..., Any]:
+        def run(*args: Any, **kwargs: Any) -> Any:
+            device.ctx.finish()
+            start = time.process_time()
+            inner.append(0.0)
+            result = step(*args, **kwargs)
+            device.ctx.finish()
+            whole = time.process_time() - start
+            spent[name] += whole - inner.pop()
+            inner[-1] += whole
+            return result
+
+        return run
+
+    for method in ("dss", "dss-z"):
+        with Device() as device:
+            transport = TransportParameters(method, directions=4)
+            renderer = Renderer(device, scene, RenderParameters(SIZE, 1, transport=transport))
+            renderer.frame(scene.schedule.parse_time("off+1s"))
+            plain = [(owner, name, getattr(owner, name)) for owner, name in STAGES]
+            each: list[dict[str, float]] = []
+            for owner, name, step in plain:
+                setattr(owner, name, watched(f"{owner.__name__.split('.')[-1]}.{name}", step, device))
+            for _ in range(RUNS):
+                spent.clear()
+                renderer.transport.prepare()
+                renderer.transport.run(renderer.direct_light.radiance)
+                each.append(dict(spent))
+            for owner, name, step in plain:
+                setattr(owner, name, step)
+            held = renderer.transport
+            print(f"{method}: {held.surfels.count} surfels, {held.shells.levels} levels; ms of a core")
+            for name in each[0]:
+                print(f"    {name:40} {1e3 * median(e[name] for e in each):9.1f}")
 
 
 def measure_memory(scene: Any) -> None:
@@ -149,6 +224,7 @@ def main(name: str = "cornell") -> None:
         print(device.renderer)
         measure_fragments(device, scene)
         measure_surfels(device, scene)
+    measure_stages(scene)
     measure_memory(scene)
 
 

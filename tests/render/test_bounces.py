@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,17 @@ def test_closed_box_reads_one_minus_a_power_of_two(build, rooms, bounces):
     """Albedo and emission 0.5: every ray meets the same radiance, so that only float32 is left to differ."""
     L = tiles(rooms.closed_box(build).write(), (24, 24), bounces=bounces, guided=0.0)[0].radiance
     np.testing.assert_allclose(L, 1 - 0.5 ** (bounces + 1), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("method", "within"), [("dss", 0.02), ("dss-z", 0.05)])
+def test_surfels_send_on_what_cells_reflect(build, rooms, method, within):
+    """The closed box of albedo and emission 0.5 after two and three reflections: what the last one misses, as after one
+    (corners nearer than a disk's radius; holes between disks), and nothing more."""
+    path = rooms.closed_box(build).write()
+    for bounces in (2, 3):
+        transport = TransportParameters(method, bounces=bounces, cell=0.1)
+        L = render(path, ["0"], size=(64, 64), supersampling=1, transport=transport)[0].radiance
+        assert L.mean() == pytest.approx(1 - 0.5 ** (bounces + 1), rel=within)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="needs phoslab[reference]")
@@ -55,8 +67,8 @@ def test_two_bounces_agree_with_the_path_tracer(tmp_path):
     np.testing.assert_allclose(added["tiles"], added["reference"], rtol=0.045)
 
 
-def lit_state(device, path, t_s, step_s=1.0, **parameters):
-    transport = TransportParameters("tiles", directions=2, **parameters)
+def lit_state(device, path, t_s, step_s=1.0, method="tiles", **parameters):
+    transport = TransportParameters(method, directions=2, **parameters)
     p = RenderParameters((8, 8), 1, Stepping(step_s=step_s), transport)
     renderer = Renderer(device, load_scene(path), p)
     renderer.frame(t_s)
@@ -132,30 +144,52 @@ def test_glow_that_excites_nothing_is_left_out_and_said_to_be(build, rooms):
     assert "no material is excited" in frames.warnings[0]
 
 
-def test_lamp_light_that_is_reflected_reaches_the_shadow(build, rooms, device):
-    """A lamp lights a white wall alone; what faces away from it is charged and seen by what the wall sends back."""
+def before_a_wall(build, rooms) -> Path:
+    """A lamp lights a white wall alone; a small plate beyond the lamp faces the wall."""
     side = np.array([[-2.0, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]])
     build.mesh("wall", side, uv=None).mesh(
         "back", 0.02 * side, translation=[0, 0, 0.5], rotation=[0, 1, 0, 0]
     )
-    build.camera(4.0, 1.0).light("lamp", "spot", spot_at(0, 0, 0.45), outerConeAngle=1.4, innerConeAngle=1.39)
+    build.light("lamp", "spot", spot_at(0, 0, 0.45), outerConeAngle=1.4, innerConeAngle=1.39)
     toml = '[lights.lamp]\nspectrum = "flat"\nirradiance_at_1m = 3.0\nschedule = [[0, 1]]\n'
     toml += rooms.write_material(build, "back", [0.0] * 3, [0.5] * 3).replace("64", "16")
-    path = build.text(toml + "[units]\nradiance_factor = 1.0\n").write()
-    with device.scope():
-        dark = lit_state(device, path, 0.5).states[0].shown.read()
-    lit = lit_state(device, path, 0.5, lamps=True).states[0]
-    assert dark.max() == 0.0
-    # By quadrature over the wall: E = ∫ ρ E_wall / π cos cos / d², to the 3 % of 256 rays and cells of 1/40.
+    return build.text(toml + "[units]\nradiance_factor = 1.0\n").write()
+
+
+def irradiance_of_the_plate(path) -> float:
+    """By quadrature over the wall: E = ∫ ρ E_wall / π cos cos / d²."""
     light = load_scene(path).lights[0].irradiance_at_1m[0]
     x, y = np.meshgrid(*[np.linspace(-2, 2, 2001)[:-1] + 1e-3] * 2)
     d2, e2 = x**2 + y**2 + 0.25, x**2 + y**2 + 0.45**2
     cone = np.clip((0.45 / np.sqrt(e2) - np.cos(1.4)) / (np.cos(1.39) - np.cos(1.4)), 0, 1) ** 2
-    E = np.sum(light * cone * 0.45 / e2**1.5 / np.pi * 0.25 / d2**2) * 4e-6
+    return float(np.sum(light * cone * 0.45 / e2**1.5 / np.pi * 0.25 / d2**2) * 4e-6)
+
+
+@pytest.mark.parametrize("method", ["tiles", "dss", "dss-z"])
+def test_lamp_light_that_is_reflected_charges_what_is_in_the_shadow(build, rooms, device, method):
+    """To the 3 % of 256 rays and cells of 1/40."""
+    path = before_a_wall(build.camera(4.0, 1.0), rooms)
+    with device.scope():
+        dark = lit_state(device, path, 0.5).states[0].shown.read()
+    lit = lit_state(device, path, 0.5, method=method, lamps=True).states[0]
+    assert dark.max() == 0.0
     # a = ke E Δλ, with ke of 1 in a band of 100 nm.
-    a = E * 100.0
+    a = irradiance_of_the_plate(path) * 100.0
     want = a / (a + 0.5) * (1 - np.exp(-(a + 0.5) * 0.5))
     assert lit.shown.read().mean() == pytest.approx(want, rel=0.03)
+
+
+@pytest.mark.parametrize(("method", "within"), [("dss", 0.03), ("dss-z", 0.14)])
+def test_surfels_send_what_their_surface_reflects_of_the_lamp(build, rooms, method, within):
+    """The plate, seen from the wall, which is behind the camera: L = ρ E / π. To 3 % as above; for dss-z what disks of
+    1.4 times their radius leave open of a plane on which they lie at random: exp(-1.4²)."""
+    build.camera(0.3, 0.3)
+    build.gltf["nodes"][-1]["rotation"] = [0, 1, 0, 0]
+    path = before_a_wall(build, rooms)
+    transport = TransportParameters(method, lamps=True, directions=64)
+    L = render(path, ["0.5"], size=(16, 16), supersampling=1, transport=transport)[0].radiance
+    want = 0.5 * irradiance_of_the_plate(path) / np.pi
+    assert L[6:10, 6:10, 0].mean() == pytest.approx(want, rel=within)
 
 
 def spot_at(x, y, z):
@@ -165,7 +199,7 @@ def spot_at(x, y, z):
     return matrix
 
 
-def test_what_only_tiles_offer_is_refused_elsewhere(exciting, refuses):
+def test_what_cells_bring_is_refused_where_there_are_none(exciting, refuses):
     for method in ("none", "reference"):
         transport = TransportParameters(method, excites=True)
-        assert "--gi tiles" in refuses(render, exciting.write(), ["0"], transport=transport, size=(8, 8))
+        assert "--gi tiles, dss" in refuses(render, exciting.write(), ["0"], transport=transport, size=(8, 8))

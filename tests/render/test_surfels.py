@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phoslab.render import load_scene
-from phoslab.render.device import Device
+from phoslab.render.device import ITEMS, MOST_GROUPS, Device, set_uniforms
 from phoslab.render.gpu_scene import upload
 from phoslab.render.prefix_sums import prefix_sums, sum_buffer
 from phoslab.render.surfels import Extent, View, surfelize
@@ -49,6 +49,20 @@ def test_prefix_sums_are_those_of_numpy(values):
         assert prefix_sums(device, buffer, len(values)) == values.sum()
         sums = np.frombuffer(buffer.read(), dtype=np.uint64)
     np.testing.assert_array_equal(sums[:-1], np.cumsum(values) - values)
+
+
+def test_more_items_than_a_device_takes_in_a_row_are_all_reached(device):
+    """Four million points and some, each of whose one ray meets a leaf of its own radiance."""
+    n = MOST_GROUPS * ITEMS + 100
+    shader = device.compute("cell_gather", {"LAYERS": 1, "DIRECTIONS": 1})
+    hits, leaves = np.arange(n, dtype=np.uint32) % 7, np.arange(6 * 4, dtype=np.float32)
+    light = device.reserve(n * 16)
+    for k, buffer in enumerate((device.buffer(hits), device.buffer(leaves), light)):
+        buffer.bind_to_storage_buffer(k)
+    set_uniforms(shader, point_count=n)
+    device.dispatch_items(shader, n)
+    met = np.frombuffer(light.read(), dtype=np.float32).reshape(n, 4)[:, 1]
+    np.testing.assert_array_equal(met, np.where(hits > 0, 4.0 * hits - 3.0, 0.0))
 
 
 @pytest.mark.parametrize("two_pass", [False, True])
