@@ -74,7 +74,7 @@ class TransportParameters:
         self._check("the number of directions", self.directions, 1, MOST_DIRECTIONS)
         self._check("the share of guided directions", self.guided, 0.0, 1.0)
         self._check("the number of samples", self.samples, 1, 1 << 20)
-        self._check("the seed", self.seed, 0, 1 << 31)
+        self._check("the seed", self.seed, 0, (1 << 20) - 1)
         self._check("the cells' radius", self.cell, 1e-3, 1.0)
         self._check("the cells' detail", self.detail, 1e-2, 1.0)
         self._check("the number of bounces", self.bounces, 1, MOST_BOUNCES)

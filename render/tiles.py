@@ -163,7 +163,9 @@ class Tiles:
         for fill in (False, True):
             shader = self._cell_shaders[fill]
             stages = device.buffer(np.zeros((n_groups, 3), dtype=np.uint32))
-            for k, buffer in enumerate((groups, walk, skip, ends, stages, *([lists, guides] if fill else []))):
+            for k, buffer in enumerate(
+                (groups, walk, skip, ends, stages, *([lists, guides] if fill else []))
+            ):
                 buffer.bind_to_storage_buffer(k)
             set_uniforms(shader, group_count=n_groups, detail=self._parameters.detail)
             n_cells = len(self.cells.skip)

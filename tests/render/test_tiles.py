@@ -28,7 +28,7 @@ def test_closed_box_of_albedo_and_emission_one_half_reads_three_quarters(build, 
 
 
 def test_no_cell_is_lost_where_a_walk_takes_more_rounds_than_a_loop_has(build, rooms, device):
-    """llvmpipe ends a shader's loops after 65535 rounds in all, and says nothing: half of the walls would be missing."""
+    """llvmpipe ends a shader's loops after 65535 rounds in all, and says nothing: half of the walls would be gone."""
     path = rooms.closed_box(build).write()
     _, tiled = hits_of(device, path, (16, 16), cell=0.0115, detail=0.01, guided=0.0)
     assert len(tiled.cells.skip) > 65535
@@ -156,7 +156,7 @@ def test_the_filter_carries_no_light_into_a_shadow():
     filter takes from the noise must be more than what it carries across: with it, the error is below that of the same
     directions without, against four times as many. (By position and normal alone it was twenty times larger.)"""
     truth, plain, shared = (
-        tiles(SCENES / "occluder", (64, 64), directions=n, filter_px=px).sum(axis=-1)
+        tiles(SCENES / "occluder", (96, 96), directions=n, filter_px=px).sum(axis=-1)
         for n, px in ((128, 0), (32, 0), (32, 4))
     )
 
