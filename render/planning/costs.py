@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from os import PathLike
 from typing import Any
 
@@ -12,19 +12,20 @@ import numpy as np
 from phoslab import trades
 from phoslab.model_plan import Choices
 from phoslab.render.fade_basis import faded_stretches, fading_rates
-from phoslab.render.glow_transport import NONE
+from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.optics import layer_count
 from phoslab.render.scene import Scene
 
 
 @dataclass(frozen=True)
 class MeasuredWay:
-    """A way to reflect glow once: mean relative error of the reflected light, and s a pixel."""
+    """A way to reflect glow: mean relative error of the reflected light, s once, and s a pixel."""
 
     method: str
     parameters: dict[str, Any]
     error: float
     s_per_pixel: float
+    once_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Costs:
 
     Args:
         texel_error, texel_power: glow is off by texel_error x^texel_power with texels of x pixels.
-        gi: ways that reflect glow once.
+        gi: ways that reflect glow.
         path_noise: mean relative error of reflected glow with one path a pixel; it falls with the root of their number.
         costs_s: s for each of `features`.
     """
@@ -55,13 +56,15 @@ class Costs:
         alike = [m for m in self.gi if m.method == choices.gi["method"]]
         if alike:
             nearest = min(alike, key=lambda m: unlike(m.parameters, choices.gi))
-            total += nearest.s_per_pixel * pixels
+            total += nearest.once_s + nearest.s_per_pixel * pixels
         return total
 
 
 def unlike(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
-    """Return how far apart the parameters `a` of a way are from those of another: in doublings."""
-    return float(sum(abs(np.log2(float(v) / float(b.get(k, v)))) for k, v in a.items()))
+    """Return how far apart two settings of a way are: in doublings."""
+    names = [f.name for f in fields(TransportParameters) if f.name not in ("method", "seed", "full")]
+    x, y = (np.array([float(some.get(n, getattr(TransportParameters, n))) for n in names]) for some in (a, b))
+    return float(np.abs(np.log2((1 + x) / (1 + y))).sum())
 
 
 def load_costs(path: str | PathLike[str] | None = None) -> Costs:

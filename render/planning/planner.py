@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from phoslab.render.planning.bounds import Bound
 from phoslab.render.planning.costs import Costs, pictures
 from phoslab.render.planning.notes import notes
 from phoslab.render.planning.pilot import Pilot, look
+from phoslab.render.planning.probe import measure_noise
 from phoslab.render.planning.reduced import check_fit, whole
 from phoslab.render.planning.step_terms import Stepped, steps
 from phoslab.render.scene import Scene
@@ -35,7 +37,7 @@ Array = NDArray[np.float64]
 MOMENTS = 6
 
 # Of the bound: what a plan may predict. The rest is for what a prediction is off by; docs/planning.md has how often.
-BUDGET = 0.8
+BUDGET = 0.9
 
 # Of the bound: what leaving out states and surfaces may take; each is tried.
 TOLERANCES = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6)
@@ -77,10 +79,20 @@ class Planner:
         Raises:
             PhoslabError: none does; the error names the obstacle and the best that can be had.
         """
+        best, closest = self._cheapest(self.costs.path_noise)
+        # How noisy paths are is not worth knowing where no way but one that needs none is in question.
+        if best is None or best[1].gi["method"] != NONE:
+            best, closest = self._cheapest(self.path_noise)
+        if best is None:
+            raise self._out_of_reach(closest)
+        return self.explain(best[1])
+
+    def _cheapest(self, path_noise: float) -> tuple[tuple[float, Choices] | None, Choices]:
+        """Return the cheapest choices within the budget with their cost in s, and those of the least error."""
         budget = BUDGET * self.request.bound.value
         best: tuple[float, Choices] | None = None
         closest: tuple[float, Choices] | None = None
-        ways = list(transport_terms.ways(self.pilot, self.request.bound, self.costs))
+        ways = list(transport_terms.ways(self.pilot, self.request.bound, self.costs, path_noise))
         for choices, error in self._without_transport(budget):
             for way in ways:
                 tried = replace(choices, gi=way.gi)
@@ -91,10 +103,20 @@ class Planner:
                     cost = self.predict_s(tried)
                     if best is None or cost < best[0]:
                         best = cost, tried
-        if best is None:
-            assert closest is not None
-            raise self._out_of_reach(closest[1])
-        return self.explain(best[1])
+        assert closest is not None
+        return best, closest[1]
+
+    @cached_property
+    def path_noise(self) -> float:
+        """Mean relative error of reflected glow with one path a pixel, in this scene."""
+        if not transport_terms.traces_paths() or not self.pilot.bounces.any():
+            return self.costs.path_noise
+        few = spectrum_terms.fewest_bands(self.request.scene, self.pilot)
+        bands, _ = few[min(n for n in few if n >= min(3, max(few)))]
+        plain = replace(whole(self.request.scene), bands_nm=tuple(bands.edges_nm.tolist()))
+        stepped = self.steps[0]
+        noise = measure_noise(self.pilot, replace(plain, solver=stepped.solver, step_s=stepped.step_s))
+        return self.costs.path_noise if noise is None else noise
 
     def explain(self, choices: Choices) -> ModelPlan:
         """Return the plan of these choices: each decision, its error and the reason.
@@ -292,26 +314,38 @@ class Planner:
 
     def _transport_terms(self, choices: Choices) -> Iterator[Term]:
         request = self.request
-        way = transport_terms.inexactness(self.pilot, request.bound, self.costs, dict(choices.gi))
+        way = transport_terms.inexactness(
+            self.pilot,
+            request.bound,
+            self.costs,
+            self.path_noise if choices.gi["method"] == transport_terms.REFERENCE else self.costs.path_noise,
+            dict(choices.gi),
+        )
         bounces = self.pilot.means()[2]
         share = float((bounces.sum(axis=0) / np.maximum(self._total, 1e-300)).max())
         method = choices.gi["method"]
         said = f"glow that others reflect is {share:.1%} of the light"
         endless = method == transport_terms.REFERENCE and choices.gi.get("full", False)
-        parameters = ", ".join(f"{v} {k}" for k, v in choices.gi.items() if k not in ("method", "full"))
+        parameters = ", ".join(
+            f"{v} {k}" for k, v in choices.gi.items() if k not in ("method", "full", "bounces")
+        )
         yield Term(
             "reflections",
-            "0" if method == NONE else "all" if endless else "1",
+            "0" if method == NONE else "all" if endless else str(choices.gi.get("bounces", 1)),
             way.left_out,
             "estimate",
-            said if not endless else f"{said}, and what comes after one reflection counts",
+            said,
         )
         yield Term(
             "gi",
             method + (f", {parameters}" if parameters else ""),
             way.inexact,
             "estimate",
-            "nothing to transport" if method == NONE else "measured on scenes of the trade",
+            "nothing to transport"
+            if method == NONE
+            else "noise measured in this scene"
+            if method == transport_terms.REFERENCE
+            else "measured on scenes of the trade",
         )
         n = len(set(request.moments))
         drawn = pictures(request.scene, list(request.moments)) if method != NONE else n
