@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.model_plan import Choices, ModelPlan, Surface, Term
+from phoslab.render.device import Device
 from phoslab.render.glow_transport import NONE
 from phoslab.render.planning import spectrum_terms, state_terms, texel_terms, transport_terms
 from phoslab.render.planning.bounds import Bound
@@ -57,8 +58,8 @@ class Request:
 class Planner:
     """Predicts the error and the cost of choices, and finds the cheapest within a bound."""
 
-    def __init__(self, request: Request, costs: Costs) -> None:
-        self.request, self.costs = request, costs
+    def __init__(self, request: Request, costs: Costs, device: Device | None = None) -> None:
+        self.request, self.costs, self._device = request, costs, device
         scene = request.scene
         self.pilot: Pilot = look(scene, _some(request.moments), request.size)
         if not self.pilot.pictures.any():
@@ -107,15 +108,20 @@ class Planner:
         return best, closest[1]
 
     @cached_property
+    def bands(self) -> dict[int, tuple[Bands, float]]:
+        """By their number: the best bands found, and what they err by."""
+        return spectrum_terms.fewest_bands(self.request.scene, self.pilot)
+
+    @cached_property
     def path_noise(self) -> float:
         """Mean relative error of reflected glow with one path a pixel, in this scene."""
         if not transport_terms.traces_paths() or not self.pilot.bounces.any():
             return self.costs.path_noise
-        few = spectrum_terms.fewest_bands(self.request.scene, self.pilot)
-        bands, _ = few[min(n for n in few if n >= min(3, max(few)))]
-        plain = replace(whole(self.request.scene), bands_nm=tuple(bands.edges_nm.tolist()))
+        few, _ = self.bands[min(n for n in self.bands if n >= min(3, max(self.bands)))]
+        plain = replace(whole(self.request.scene), bands_nm=tuple(few.edges_nm.tolist()))
         stepped = self.steps[0]
-        noise = measure_noise(self.pilot, replace(plain, solver=stepped.solver, step_s=stepped.step_s))
+        choices = replace(plain, solver=stepped.solver, step_s=stepped.step_s)
+        noise = measure_noise(self.pilot, choices, device=self._device)
         return self.costs.path_noise if noise is None else noise
 
     def explain(self, choices: Choices) -> ModelPlan:
@@ -147,10 +153,9 @@ class Planner:
 
     def _without_transport(self, budget: float) -> Iterator[tuple[Choices, float]]:
         """Yield choices of all but glow transport that leave some of the budget, with their errors."""
-        bands = spectrum_terms.fewest_bands(self.request.scene, self.pilot)
         details = list(dict.fromkeys(self._details(budget * t) for t in TOLERANCES))
         for (colours, colour_error), stepped, width, detail in itertools.product(
-            bands.values(), self.steps, (0.0, *texel_terms.WIDTHS), details
+            self.bands.values(), self.steps, (0.0, *texel_terms.WIDTHS), details
         ):
             error = self.slope * (colour_error + stepped.error)
             if error > budget:

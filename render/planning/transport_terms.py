@@ -1,8 +1,8 @@
 """How glow reaches other surfaces, if it matters at all: every way that was measured, and the path tracer as the last.
 
-What a way leaves out (all reflections, or all after the first few) is read off the pilot's picture. How far off it is in
-what it does model comes from measurement: of the path tracer in this scene (`probe.py`), of other ways in those of the
-trade, of which the worst counts. The two are added, in the unit of the bound.
+What a way leaves out (all reflections, or all after the first few) is read off the pilot's picture. How far off it is
+in what it does model comes from measurement: of the path tracer in this scene (`probe.py`), of other ways in those of
+the trade, of which the worst counts. The two are added, in the unit of the bound.
 """
 
 from __future__ import annotations
