@@ -58,9 +58,13 @@ def _beyond(pilot: Pilot) -> list[str]:
 def _other_light(pilot: Pilot) -> list[str]:
     """Say what no plan models, nor the picture that its bound is held against: `render` has options for it."""
     said = []
+    lamp, glow, bounces = pilot.means()
+    twice = float((pilot.lamp_twice / np.maximum(lamp + glow + bounces.sum(axis=0), 1e-300)).max())
     if pilot.scene.lights:
+        seen = f"; its second reflection would add {twice:.1%} to the light that is seen" if twice > 0 else ""
         said = [
             "lamp light that walls reflect, and charge others with, is in no plan (render --lamp-bounces has it)"
+            + seen
         ]
     share = _recharging(pilot)
     if share is not None and share > 1e-3:

@@ -1,4 +1,4 @@
-"""How often a plan holds its bound, and how near it is to the cheapest: python tests/benchmarks/planner.py -o DIR [-n 40]
+"""How often a plan holds its bound, and how near it is to the cheapest: python tests/benchmarks/planner.py -o DIR
 
 Scenes are drawn from seeds (tests/render/planned_scenes.py). The truth has the material's own bands, all states, the
 reference solver, and glow followed to its end by so many paths that their noise is a fifth of the bound
