@@ -45,14 +45,10 @@ class Costs:
     path_noise: float
     costs_s: dict[str, float]
 
-    def predict_s(
-        self, scene: Scene, choices: Choices, size: tuple[int, int], moments: list[float], steps: int
-    ) -> float:
+    def predict_s(self, choices: Choices, work: Work) -> float:
         """Return the predicted time of all pictures in s."""
-        pixels = size[0] * size[1]
-        total = float(
-            sum(self.costs_s[k] * v for k, v in features(scene, choices, size, moments, steps).items())
-        )
+        pixels = work.size[0] * work.size[1]
+        total = float(sum(self.costs_s[k] * v for k, v in features(choices, work).items()))
         alike = [m for m in self.gi if m.method == choices.gi["method"]]
         if alike:
             nearest = min(alike, key=lambda m: unlike(m.parameters, choices.gi))
@@ -86,9 +82,26 @@ def load_costs(path: str | PathLike[str] | None = None) -> Costs:
 FEATURES = ("start", "texel_layer", "sample_layer", "texel_step", "path_picture", "path")
 
 
-def features(
-    scene: Scene, choices: Choices, size: tuple[int, int], moments: list[float], steps: int
-) -> dict[str, float]:
+@dataclass(frozen=True)
+class Work:
+    """What is to be drawn.
+
+    Args:
+        size: (width, height) in pixels.
+        supersampling: samples along the side of a pixel.
+        times: how many are asked for.
+        drawn: how many pictures are drawn where glow is transported.
+        steps: of a state.
+    """
+
+    size: tuple[int, int]
+    supersampling: int
+    times: int
+    drawn: int
+    steps: int
+
+
+def features(choices: Choices, work: Work) -> dict[str, float]:
     """Return how often each thing that takes time is done.
 
     start: once. texel_layer: a texel in four bands. sample_layer: a sample of a picture in four bands. texel_step: a
@@ -96,18 +109,18 @@ def features(
     """
     layers = layer_count(len(choices.bands_nm) - 1)
     texels = sum(s.atlas_texels**2 for s in choices.surfaces.values() if s.glows)
-    pixels = size[0] * size[1]
+    pixels = work.size[0] * work.size[1]
     traced = 0
     if choices.gi["method"] == "reference":
-        traced = pictures(scene, moments) * -(-(len(choices.bands_nm) - 1) // 3)
-    drawn = len(moments) if choices.gi["method"] == NONE else pictures(scene, moments)
+        traced = work.drawn * -(-(len(choices.bands_nm) - 1) // 3)
+    drawn = work.times if choices.gi["method"] == NONE else work.drawn
     return {
         "start": 1.0,
         "texel_layer": float(texels * layers),
-        "sample_layer": float(pixels * scene.supersampling**2 * layers * drawn),
-        "texel_step": float(texels * steps),
+        "sample_layer": float(pixels * work.supersampling**2 * layers * drawn),
+        "texel_step": float(texels * work.steps),
         "path_picture": float(traced),
-        "path": float(traced * pixels * choices.gi.get("samples", 256)),
+        "path": float(traced * pixels * choices.gi.get("samples", TransportParameters.samples)),
     }
 
 

@@ -24,10 +24,10 @@ from phoslab.render.device import Device
 from phoslab.render.glow_transport import NONE
 from phoslab.render.planning import spectrum_terms, state_terms, texel_terms, transport_terms
 from phoslab.render.planning.bounds import Bound
-from phoslab.render.planning.costs import Costs, pictures
+from phoslab.render.planning.costs import Costs, Work, pictures
 from phoslab.render.planning.notes import notes
 from phoslab.render.planning.pilot import Pilot, look
-from phoslab.render.planning.probe import measure_noise
+from phoslab.render.planning.probe import PathNoise, measure_noise
 from phoslab.render.planning.reduced import check_fit, whole
 from phoslab.render.planning.step_terms import Stepped, steps
 from phoslab.render.scene import Scene
@@ -68,10 +68,12 @@ class Planner:
                 field="the picture",
                 remedy="Ask for a time at which a lamp is on or something glows.",
             )
+        self._drawn = pictures(scene, list(request.moments))
         self.slope = transport_terms.slope(self.pilot, request.bound)
         self.steps = steps(self.pilot)
         lamp, glow, bounces = self.pilot.means()
         self._total: Array = lamp + glow + bounces.sum(axis=0)
+        self._elsewhere = PathNoise.of_independent(costs.path_noise)
         self._known: dict[int, dict[int, tuple[state_terms.Groups, Array]]] = {}
 
     def plan(self) -> ModelPlan:
@@ -80,7 +82,7 @@ class Planner:
         Raises:
             PhoslabError: none does; the error names the obstacle and the best that can be had.
         """
-        best, closest = self._cheapest(self.costs.path_noise)
+        best, closest = self._cheapest(self._elsewhere)
         # How noisy paths are is not worth knowing where no way but one that needs none is in question.
         if best is None or best[1].gi["method"] != NONE:
             best, closest = self._cheapest(self.path_noise)
@@ -88,13 +90,13 @@ class Planner:
             raise self._out_of_reach(closest)
         return self.explain(best[1])
 
-    def _cheapest(self, path_noise: float) -> tuple[tuple[float, Choices] | None, Choices]:
+    def _cheapest(self, path_noise: PathNoise) -> tuple[tuple[float, Choices] | None, Choices]:
         """Return the cheapest choices within the budget with their cost in s, and those of the least error."""
         budget = BUDGET * self.request.bound.value
         best: tuple[float, Choices] | None = None
         closest: tuple[float, Choices] | None = None
         ways = list(transport_terms.ways(self.pilot, self.request.bound, self.costs, path_noise))
-        for choices, error in self._without_transport(budget):
+        for choices, error in self._rest:
             for way in ways:
                 tried = replace(choices, gi=way.gi)
                 total = error + way.error
@@ -113,16 +115,16 @@ class Planner:
         return spectrum_terms.fewest_bands(self.request.scene, self.pilot)
 
     @cached_property
-    def path_noise(self) -> float:
-        """Mean relative error of reflected glow with one path a pixel, in this scene."""
+    def path_noise(self) -> PathNoise:
+        """How noisy paths are in this scene."""
         if not transport_terms.traces_paths() or not self.pilot.bounces.any():
-            return self.costs.path_noise
+            return self._elsewhere
         few, _ = self.bands[min(n for n in self.bands if n >= min(3, max(self.bands)))]
         plain = replace(whole(self.request.scene), bands_nm=tuple(few.edges_nm.tolist()))
         stepped = self.steps[0]
         choices = replace(plain, solver=stepped.solver, step_s=stepped.step_s)
         noise = measure_noise(self.pilot, choices, device=self._device)
-        return self.costs.path_noise if noise is None else noise
+        return self._elsewhere if noise is None else noise
 
     def explain(self, choices: Choices) -> ModelPlan:
         """Return the plan of these choices: each decision, its error and the reason.
@@ -146,13 +148,22 @@ class Planner:
 
     def predict_s(self, choices: Choices) -> float:
         """Return the predicted time of all pictures in s."""
-        n = self._stepped(choices).steps
-        return self.costs.predict_s(
-            self.request.scene, choices, self.request.size, list(self.request.moments), n
+        request = self.request
+        work = Work(
+            request.size,
+            request.scene.supersampling,
+            len(request.moments),
+            self._drawn,
+            self._stepped(choices).steps,
         )
+        return self.costs.predict_s(choices, work)
+
+    @cached_property
+    def _rest(self) -> list[tuple[Choices, float]]:
+        """Choices of all but glow transport that leave some of the budget, with their errors."""
+        return list(self._without_transport(BUDGET * self.request.bound.value))
 
     def _without_transport(self, budget: float) -> Iterator[tuple[Choices, float]]:
-        """Yield choices of all but glow transport that leave some of the budget, with their errors."""
         details = list(dict.fromkeys(self._details(budget * t) for t in TOLERANCES))
         for (colours, colour_error), stepped, width, detail in itertools.product(
             self.bands.values(), self.steps, (0.0, *texel_terms.WIDTHS), details
@@ -323,7 +334,7 @@ class Planner:
             self.pilot,
             request.bound,
             self.costs,
-            self.path_noise if choices.gi["method"] == transport_terms.REFERENCE else self.costs.path_noise,
+            self.path_noise if choices.gi["method"] == transport_terms.REFERENCE else self._elsewhere,
             dict(choices.gi),
         )
         bounces = self.pilot.means()[2]
@@ -353,7 +364,7 @@ class Planner:
             else "measured on scenes of the trade",
         )
         n = len(set(request.moments))
-        drawn = pictures(request.scene, list(request.moments)) if method != NONE else n
+        drawn = self._drawn if method != NONE else n
         yield Term(
             "fade basis",
             "yes" if drawn < n else "no",

@@ -1,14 +1,17 @@
 """How noisy the path tracer is in one scene: a picture of a few hundred pixels, twice.
 
-Two pictures that differ by their seeds alone differ by their noise alone. It falls with the root of the paths, or
-faster, whatever the size of the picture. In three bands, with few texels: what is sought is the noise, not the picture.
+Two pictures that differ by their seeds alone differ by their noise alone. With few paths it falls faster than with the
+root of their number, since they are stratified; so it is measured for few and for more, and from there on the root is
+taken. In three bands, with few texels, and in the variant that needs no compiling: what is sought is the noise, not the
+picture.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phoslab.colorimetry import xyz_matrix
 from phoslab.model_plan import Choices
@@ -22,12 +25,34 @@ from phoslab.render.reference import Reference
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.render.shadow_map import ShadowMapParameters
 
+Array = NDArray[np.float64]
+
 # Of the probe: paths a pixel, texels along the side of a state, samples along that of a pixel, texels of a shadow map.
-PATHS, TEXELS, SUPERSAMPLING, SHADOW_TEXELS = 16, 32, 2, 256
+FEW, MORE, TEXELS, SUPERSAMPLING, SHADOW_TEXELS = 4, 36, 32, 2, 256
 
 
-def measure_noise(pilot: Pilot, choices: Choices, *, device: Device | None = None) -> float | None:
-    """Return the mean relative error of reflected glow with one path a pixel, when it is the most of the light.
+@dataclass(frozen=True)
+class PathNoise:
+    """Mean relative error of reflected glow with `FEW` and with `MORE` paths a pixel."""
+
+    of_few: float
+    of_more: float
+
+    def of(self, samples: int) -> float:
+        """Return that of so many paths: a power law between the two, the root outside."""
+        power = float(np.clip(np.log(self.of_few / self.of_more) / np.log(MORE / FEW), 0.5, 1.0))
+        if samples <= FEW:
+            return self.of_few * float(np.sqrt(FEW / samples))
+        return self.of_few * (min(samples, MORE) / FEW) ** -power * float(np.sqrt(MORE / max(samples, MORE)))
+
+    @classmethod
+    def of_independent(cls, of_one: float) -> PathNoise:
+        """Return that of paths whose number alone counts."""
+        return cls(of_one / float(np.sqrt(FEW)), of_one / float(np.sqrt(MORE)))
+
+
+def measure_noise(pilot: Pilot, choices: Choices, *, device: Device | None = None) -> PathNoise | None:
+    """Return how noisy reflected glow is when it is the most of the light.
 
     Args:
         choices: what of the scene to trace.
@@ -46,30 +71,34 @@ def measure_noise(pilot: Pilot, choices: Choices, *, device: Device | None = Non
         SUPERSAMPLING,
         stepping=Stepping(choices.solver, choices.step_s),
         shadow_map=ShadowMapParameters(SHADOW_TEXELS),
-        transport=TransportParameters(Reference.name, samples=PATHS, seed=1, full=True),
+        transport=TransportParameters(Reference.name),
     )
     with device.scope():
         renderer = Renderer(device, scene, parameters)
         if not isinstance(renderer.transport, Reference):
             return None
-        renderer.frame(float(pilot.moments[most_reflected(pilot)]))
-        one = renderer.transport.reflected
-        assert one is not None
-        other = trace(
-            renderer.transport.meshes(),
-            renderer.gbuffer.camera,
+        renderer.light(float(pilot.moments[most_reflected(pilot)]))
+        meshes, camera = renderer.transport.meshes(), renderer.gbuffer.camera
+
+    def traced(samples: int, seed: int) -> Array:
+        picture = trace(
+            meshes,
+            camera,
             size,
             reflections=UNLIMITED,
-            samples=PATHS,
-            seed=2,
+            samples=samples,
+            seed=seed,
             direct=False,
+            compiled=False,
         )
-    one, other = (picture @ xyz_matrix(scene.transport) for picture in (one, other))
-    reflected = float((one + other).mean()) / 2
+        return np.asarray(picture @ xyz_matrix(scene.transport))
+
+    few, more = (traced(FEW, 1), traced(FEW, 2)), (traced(MORE, 3), traced(MORE, 4))
+    reflected = float((more[0] + more[1]).mean()) / 2
     if reflected <= 0:
         return None
     # The difference of two has the noise of both.
-    return float(np.abs(one - other).mean() / reflected * np.sqrt(PATHS / 2))
+    return PathNoise(*(float(np.abs(a - b).mean() / np.sqrt(2) / reflected) for a, b in (few, more)))
 
 
 def most_reflected(pilot: Pilot) -> int:

@@ -21,13 +21,15 @@ from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.planning.bounds import Bound
 from phoslab.render.planning.costs import Costs, unlike
 from phoslab.render.planning.pilot import Pilot
+from phoslab.render.planning.probe import PathNoise
 
 Array = NDArray[np.float64]
 
 REFERENCE = "reference"
 
-# Each costs half again as much as the one before, and errs by a sixth less.
-SAMPLES = tuple(round(2 ** (k / 2)) for k in range(4, 33))
+# Paths a pixel: a grid of k x k or k x (k + 1), as they are stratified; each about half as many again.
+_SIDES = (4, 5, 6, 7, 8, 10, 12, 14, 16, 19, 23, 27, 32, 38, 45, 54, 64, 76, 91, 108, 128, 152, 181, 215, 256)
+SAMPLES = (4, 6, 9, 12, *(k * k for k in _SIDES))
 BOUNCES = (1, 2, 3, 4, 6, 10)
 
 # What a sample's mean may be off by, in standard errors: one in 40 is worse.
@@ -56,11 +58,11 @@ def traces_paths() -> bool:
     return find_spec("mitsuba") is not None
 
 
-def ways(pilot: Pilot, bound: Bound, costs: Costs, path_noise: float) -> Iterator[Way]:
+def ways(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise) -> Iterator[Way]:
     """Yield every way that this machine can take.
 
     Args:
-        path_noise: mean relative error of reflected glow with one path a pixel, in this scene.
+        path_noise: of so many paths a pixel, in this scene.
     """
     yield Way({"method": NONE}, _left_out(pilot, bound, 0), 0.0)
     if not pilot.bounces.any():
@@ -77,17 +79,17 @@ def ways(pilot: Pilot, bound: Bound, costs: Costs, path_noise: float) -> Iterato
     if traces_paths():
         for samples in SAMPLES:
             gi = {"method": REFERENCE, "samples": samples, "full": True}
-            yield Way(gi, 0.0, _inexact(pilot, bound, None, path_noise / np.sqrt(samples)))
+            yield Way(gi, 0.0, _inexact(pilot, bound, None, path_noise.of(samples)))
 
 
-def inexactness(pilot: Pilot, bound: Bound, costs: Costs, path_noise: float, gi: dict[str, Any]) -> Way:
+def inexactness(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise, gi: dict[str, Any]) -> Way:
     """Return what any parameters of `--gi` are expected to err by: as the nearest that was measured."""
     method, order = gi["method"], gi.get("bounces", 1)
     if method == NONE:
         return Way(gi, _left_out(pilot, bound, 0), 0.0)
     if method == REFERENCE:
         endless = gi.get("full", False)
-        noise = path_noise / np.sqrt(gi.get("samples", TransportParameters.samples))
+        noise = path_noise.of(gi.get("samples", TransportParameters.samples))
         return Way(
             gi,
             0.0 if endless else _left_out(pilot, bound, order),

@@ -33,8 +33,10 @@ from phoslab.render.frames import auto_exposure
 from phoslab.render.planning import render_choices, transport_terms
 from phoslab.render.planning.bounds import Bound, parse_bound
 from phoslab.render.planning.costs import load_costs
+from phoslab.render.planning.pilot import look
 from phoslab.render.planning.planner import Planner, Request
 from phoslab.render.planning.reduced import whole
+from phoslab.render.planning.spectrum_terms import fewest_bands
 
 # What a bound in % becomes in other units: as wide a range of what can be seen.
 OTHER_UNITS = {"%": 1.0, "dE": 0.4, "flip": 0.008}
@@ -57,13 +59,13 @@ def drawn_scene(folder: Path, seed: int) -> Any:
 
 
 def grid(planner: Planner) -> Iterator[Choices]:
-    """Yield the plans of the sweep: ways to transport glow (paths by powers of two), all bands or six, texels."""
+    """Yield the plans of the sweep: ways to transport glow (every second number of paths), all bands or six, texels."""
     plain = whole(planner.request.scene)
     most = max(planner.bands)
     kept = [planner.bands[n] for n in sorted({most, min(n for n in planner.bands if n >= min(6, most))})]
-    for way in transport_terms.ways(planner.pilot, planner.request.bound, planner.costs, 1.0):
-        samples = way.gi.get("samples", 1)
-        if samples & (samples - 1):
+    noise = planner.path_noise
+    for way in transport_terms.ways(planner.pilot, planner.request.bound, planner.costs, noise):
+        if way.gi.get("samples") in transport_terms.SAMPLES[1::2]:
             continue
         for (bands, _), t in itertools.product(kept, (1, 4)):
             surfaces = {
@@ -86,7 +88,7 @@ class Case:
         moment = self.scene.schedule.parse_time(self.time)
         self.request = Request(self.scene, size, (self.time,), (moment,), self.bound)
         self.costs = load_costs(trade)
-        few = Planner(self.request, self.costs, device).bands
+        few = fewest_bands(self.scene, look(self.scene, [moment], size))
         narrow = few[min(n for n in few if n >= min(3, max(few)))][0]
         file = folder / f"{seed}-{size[0]}.npz"
         self.truth = Truth(device, self.scene, moment, size, narrow, file)

@@ -28,7 +28,7 @@ from phoslab.render.glow_methods import METHODS
 from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.planning import render_choices
 from phoslab.render.planning.bounds import radiance_error
-from phoslab.render.planning.costs import FEATURES, features
+from phoslab.render.planning.costs import FEATURES, Work, features
 from phoslab.render.planning.pilot import Pilot, look
 from phoslab.render.planning.reduced import whole
 from phoslab.render.planning.spectrum_terms import fewest_bands
@@ -275,8 +275,8 @@ def _fit_costs(runs: Sequence[Run]) -> dict[str, float]:
     rows, seconds = [], []
     for run in runs:
         if run.choices.gi["method"] in (NONE, REFERENCE):
-            scene = run.case.scene
-            count = features(scene, run.choices, run.case.size, [scene.schedule.parse_time(run.case.time)], 2)
+            # One moment of darkness: light came on, and went off.
+            count = features(run.choices, Work(run.case.size, run.case.scene.supersampling, 1, 1, 2))
             rows.append([count[name] for name in FEATURES])
             seconds.append(run.seconds)
     A, b = np.array(rows), np.array(seconds)
