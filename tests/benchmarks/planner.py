@@ -15,34 +15,25 @@ import importlib.util
 import itertools
 import json
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-import numpy as np
-from planned_truth import Truth
+from planned_case import KNOWN, Case
 
 from phoslab.errors import PhoslabError
-from phoslab.model_plan import Choices, ModelPlan
+from phoslab.model_plan import Choices
 from phoslab.render import load_scene
 from phoslab.render.device import Device
-from phoslab.render.frames import auto_exposure
-from phoslab.render.planning import render_choices, transport_terms
+from phoslab.render.planning import transport_terms
 from phoslab.render.planning.bounds import Bound, parse_bound
-from phoslab.render.planning.costs import load_costs
-from phoslab.render.planning.pilot import look
-from phoslab.render.planning.planner import Planner, Request
+from phoslab.render.planning.planner import Planner
 from phoslab.render.planning.reduced import whole
-from phoslab.render.planning.spectrum_terms import fewest_bands
 
 # What a bound in % becomes in other units: as wide a range of what can be seen.
 OTHER_UNITS = {"%": 1.0, "dE": 0.4, "flip": 0.008}
-
-# Of the bound: what the noise of a truth may be.
-KNOWN = 0.2
 
 
 def drawn_scene(folder: Path, seed: int) -> Any:
@@ -74,60 +65,20 @@ def grid(planner: Planner) -> Iterator[Choices]:
             yield replace(plain, bands_nm=tuple(bands.edges_nm.tolist()), surfaces=surfaces, gi=way.gi)
 
 
-class Case:
-    """A seed's scene, bound and truth."""
-
-    def __init__(
-        self, device: Device, folder: Path, seed: int, size: tuple[int, int], unit: str, trade: Path | None
-    ) -> None:
-        self.seed, self._device = seed, device
-        drawn = drawn_scene(folder / str(seed), seed)
-        self.scene, self.time = load_scene(drawn.folder), drawn.time
-        in_percent = parse_bound(drawn.bound).value
-        self.bound = Bound(float(f"{in_percent * OTHER_UNITS[unit]:.2g}"), unit)
-        moment = self.scene.schedule.parse_time(self.time)
-        self.request = Request(self.scene, size, (self.time,), (moment,), self.bound)
-        self.costs = load_costs(trade)
-        few = fewest_bands(self.scene, look(self.scene, [moment], size))
-        narrow = few[min(n for n in few if n >= min(3, max(few)))][0]
-        file = folder / f"{seed}-{size[0]}.npz"
-        self.truth = Truth(device, self.scene, moment, size, narrow, file)
-
-    def learn(self, limit_s: float) -> bool:
-        """Follow paths for the truth; return whether it is known then."""
-        self.truth.follow(self.bound, KNOWN * self.bound.value, limit_s, self.exposure)
-        return self.noise <= KNOWN * self.bound.value
-
-    @property
-    def exposure(self) -> float:
-        """What brings luminance to display white."""
-        return auto_exposure(self.truth.picture.astype(np.float32)) if self.truth.levels[0].samples else 1.0
-
-    @property
-    def noise(self) -> float:
-        """Of the truth, in the bound's unit."""
-        return self.truth.noise(self.bound, self.exposure)
-
-    def plan(self) -> tuple[Planner, ModelPlan, float]:
-        """Plan; return how long it took in s, too."""
-        begin = time.perf_counter()
-        planner = Planner(self.request, self.costs, self._device)
-        plan = planner.plan()
-        return planner, plan, time.perf_counter() - begin
-
-    def run(self, choices: Choices) -> tuple[float, float]:
-        """Return the true error in the bound's unit, and the time in s."""
-        begin = time.perf_counter()
-        frames = render_choices(
-            self.scene, choices, self.request.moments, self.request.size, device=self._device
-        )
-        took = time.perf_counter() - begin
-        return self.bound.error(frames[0].xyz, self.truth.picture, self.exposure), took
+def drawn_case(
+    device: Device, folder: Path, seed: int, size: tuple[int, int], unit: str, trade: Path | None
+) -> Case:
+    """Return the case of a seed, with its bound in another unit perhaps."""
+    drawn = drawn_scene(folder / str(seed), seed)
+    in_percent = parse_bound(drawn.bound).value
+    bound = Bound(float(f"{in_percent * OTHER_UNITS[unit]:.2g}"), unit)
+    file = folder / f"{seed}-{size[0]}.npz"
+    return Case(device, load_scene(drawn.folder), drawn.time, bound, size, file, trade)
 
 
-def hold(case: Case) -> dict[str, Any]:
+def hold(seed: int, case: Case) -> dict[str, Any]:
     """Return what became of a plan."""
-    about = {"seed": case.seed, "bound": str(case.bound), "time": case.time}
+    about = {"seed": seed, "bound": str(case.bound), "time": case.time}
     try:
         _, plan, planning = case.plan()
     except PhoslabError as error:
@@ -216,7 +167,7 @@ def main() -> None:
     name = f"results-{args.first}-{args.side}-{args.unit.replace('%', 'percent')}.json"
     with Device() as device:
         for seed in range(args.first, args.first + args.n):
-            case = Case(device, args.out, seed, (args.side, args.side), args.unit, args.trade)
+            case = drawn_case(device, args.out, seed, (args.side, args.side), args.unit, args.trade)
             known = case.learn(args.limit)
             if args.truths:
                 share = case.noise / case.bound.value
@@ -225,7 +176,7 @@ def main() -> None:
                     flush=True,
                 )
                 continue
-            result = hold(case)
+            result = hold(seed, case)
             if swept < args.sweep and known and "refused" not in result:
                 result["sweep"] = sweep(case)
                 swept += 1
