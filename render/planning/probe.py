@@ -43,7 +43,8 @@ class PathNoise:
         power = float(np.clip(np.log(self.of_few / self.of_more) / np.log(MORE / FEW), 0.5, 1.0))
         if samples <= FEW:
             return self.of_few * float(np.sqrt(FEW / samples))
-        return self.of_few * (min(samples, MORE) / FEW) ** -power * float(np.sqrt(MORE / max(samples, MORE)))
+        beyond = float(np.sqrt(MORE / max(samples, MORE)))
+        return self.of_few * float((min(samples, MORE) / FEW) ** -power) * beyond
 
     @classmethod
     def of_independent(cls, of_one: float) -> PathNoise:

@@ -41,11 +41,10 @@ Progress = Callable[[int, int], None]
 SCENES = ("cornell", "occluder", "corridor")
 SIDE, QUICK_SIDE = 64, 32
 TRUTH_SAMPLES, QUICK_TRUTH_SAMPLES = 512, 64
-DIRECTIONS = (4, 8, 16, 32, 64)
 SAMPLES = (8, 32, 128)
 
 # Directions and reflections that a way is measured with, where it knows either; else with its defaults.
-SETTINGS = {"tiles": (DIRECTIONS, (1, 3)), "dss-z": ((4, 16), (1,))}
+SETTINGS = {"tiles": ((4, 8, 16, 64), (1, 3)), "dss-z": ((4, 16), (1,))}
 REFERENCE = "reference"
 
 
