@@ -17,17 +17,67 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.bands import Bands
+from phoslab.colorimetry import xyz_matrix
 from phoslab.model_plan import Choices
 from phoslab.render.device import Device
-from phoslab.render.planning import render_choices
+from phoslab.render.glow_transport import TransportParameters
+from phoslab.render.path_tracer import UNLIMITED, trace
+from phoslab.render.phosphor_state import Stepping
 from phoslab.render.planning.bounds import Bound
-from phoslab.render.planning.reduced import whole
+from phoslab.render.planning.reduced import apply, whole
+from phoslab.render.reference import Reference
+from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.render.scene import Scene
 
 Array = NDArray[np.float64]
 
 FIRST_SEED = 1000  # those of plans are 0
-FIRST_SAMPLES = (32, 16)
+
+# Paths at once: a number that was followed before needs no compiling.
+FIRST_SAMPLES, MORE_SAMPLES = (64, 16), (256, 64)
+
+
+class Traced:
+    """Pictures of a scene at one time in some bands, of any number of paths."""
+
+    def __init__(
+        self, device: Device, scene: Scene, choices: Choices, moment: float, size: tuple[int, int]
+    ) -> None:
+        self._scene, self._choices, self._moment, self._size = apply(scene, choices), choices, moment, size
+        self._device, self._straight, self._meshes = device, np.zeros(0), []
+
+    def picture(self, samples: int, seed: int) -> Array:
+        """Return (h, w, 3) XYZ."""
+        if not self._straight.size:
+            self._draw()
+        radiance = self._straight
+        if self._meshes:
+            radiance = radiance + trace(
+                self._meshes,
+                self._camera,
+                self._size,
+                reflections=UNLIMITED,
+                samples=samples,
+                seed=seed,
+                direct=False,
+            )
+        return np.asarray(radiance @ xyz_matrix(self._scene.transport), dtype=np.float64)
+
+    def _draw(self) -> None:
+        """Draw what is not traced."""
+        parameters = RenderParameters(
+            self._size,
+            self._scene.supersampling,
+            stepping=Stepping(self._choices.solver, self._choices.step_s),
+            transport=TransportParameters(Reference.name, samples=1),
+        )
+        with self._device.scope():
+            renderer = Renderer(self._device, self._scene, parameters)
+            self._straight = renderer.frame(self._moment).radiance.astype(np.float64)
+            self._camera = renderer.gbuffer.camera
+            if isinstance(renderer.transport, Reference) and renderer.transport.reflected is not None:
+                self._straight -= renderer.transport.reflected
+                self._meshes = renderer.transport.meshes()
 
 
 @dataclass
@@ -35,14 +85,16 @@ class Level:
     """One of the two sums.
 
     Args:
-        plus, minus: the choices whose pictures are added, and taken off.
+        plus, minus: whose pictures are added, and taken off.
         halves: (2, h, w, 3) XYZ, the means of so many paths a pixel each.
         seed: the next that has not been used.
+        at_once: paths a pixel that are added.
     """
 
-    plus: Choices
-    minus: Choices | None
+    plus: Traced
+    minus: Traced | None
     seed: int
+    at_once: int
     halves: Array
     samples: int = 0
     seconds: float = 0.0
@@ -64,15 +116,18 @@ class Truth:
     def __init__(
         self, device: Device, scene: Scene, moment: float, size: tuple[int, int], few: Bands, file: Path
     ) -> None:
-        self._device, self._scene, self._moment, self._size, self._file = device, scene, moment, size, file
+        self._file = file
         kept: dict[str, Any] = dict(np.load(file)) if file.exists() else {}
         self._edges_nm = kept.get("few_nm", few.edges_nm)
         every = whole(scene)
-        coarse = replace(every, bands_nm=tuple(self._edges_nm.tolist()))
+        coarse, fine = (
+            Traced(device, scene, replace(every, bands_nm=tuple(edges.tolist())), moment, size)
+            for edges in (self._edges_nm, scene.transport.edges_nm)
+        )
         nothing = np.zeros((2, size[1], size[0], 3))
         self.levels = [
-            Level(coarse, None, FIRST_SEED, nothing),
-            Level(every, coarse, 2 * FIRST_SEED, nothing),
+            Level(coarse, None, FIRST_SEED, MORE_SAMPLES[0], nothing),
+            Level(fine, coarse, 2 * FIRST_SEED, MORE_SAMPLES[1], nothing),
         ]
         if kept:
             for k, level in enumerate(self.levels):
@@ -110,8 +165,7 @@ class Truth:
             level = max(self.levels, key=lambda each: each.worth)
             if reached <= noise or time.perf_counter() - begin > limit_s:
                 break
-            more = round(level.samples * min(1.0, (reached / noise) ** 2 - 0.9))
-            self._add(level, max(16, min(more, 512)))
+            self._add(level, level.at_once)
         np.savez(
             self._file,
             few_nm=self._edges_nm,
@@ -124,18 +178,9 @@ class Truth:
         begin = time.perf_counter()
         more = []
         for seed in (level.seed, level.seed + 1):
-            picture = self._traced(level.plus, samples, seed)
-            more.append(
-                picture if level.minus is None else picture - self._traced(level.minus, samples, seed)
-            )
+            picture = level.plus.picture(samples, seed)
+            more.append(picture if level.minus is None else picture - level.minus.picture(samples, seed))
         total = level.samples + samples
         level.halves = (level.samples * level.halves + samples * np.array(more)) / total
         level.samples, level.seed = total, level.seed + 2
         level.seconds += time.perf_counter() - begin
-
-    def _traced(self, choices: Choices, samples: int, seed: int) -> Array:
-        gi = {"method": "reference", "samples": samples, "full": True, "seed": seed}
-        frames = render_choices(
-            self._scene, replace(choices, gi=gi), [self._moment], self._size, device=self._device
-        )
-        return frames[0].xyz.astype(np.float64)
