@@ -44,6 +44,7 @@ class Sampled:
     Args:
         drive: what charges them.
         kr, ke_width, emission: (n, n_c), (n, n_c, K), (n, n_c, K), as `Optics`.
+        r: (T, n, n_c) their concentrations.
         glow: (T, n, 3) their XYZ.
     """
 
@@ -52,6 +53,7 @@ class Sampled:
     kr: Array
     ke_width: Array
     emission: Array
+    r: Array
     glow: Array
 
 
@@ -236,7 +238,7 @@ def _glow(
     kr, ke, emission = (looked_up(f, points.uv) for f in (optics.kr_per_s, optics.ke_width, optics.emission))
     r = charged(scene.schedule, phosphor.initial, drive, kr, per_light(ke, scene), at)
     L: Array = np.einsum("tnc,nc,nck->tnk", r, kr, emission)
-    return Sampled(phosphor, drive, kr, ke, emission, L @ xyz_matrix(scene.transport)), L
+    return Sampled(phosphor, drive, kr, ke, emission, r, L @ xyz_matrix(scene.transport)), L
 
 
 def _sides(

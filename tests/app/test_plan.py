@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -128,6 +129,14 @@ def test_a_time_beyond_what_the_material_s_data_support_is_noted(fading, tmp_pat
     assert "beyond" not in capsys.readouterr().out
     assert main([*arguments, "--at", "off+30s"]) == 0
     assert "30 s after the light is beyond the 2 s that the data of" in capsys.readouterr().out
+
+
+def test_how_well_a_measured_material_is_known_is_said_beside_the_bound(fading, capsys):
+    """Its fit had three states under a weak lamp: each emission alone is unknown, the glow that was measured is not."""
+    assert main(["plan", str(fading), "--max-error", "60%", "--at", "off+60s", "--size", "16x12"]) == 0
+    said = re.search(r"the glow of 'green' itself is known to ([\d.]+)%", capsys.readouterr().out)
+    assert said is not None
+    assert 0.1 < float(said[1]) < 5
 
 
 def test_what_a_plan_decides_cannot_be_given_beside_it(plan, fading, tmp_path, capsys):
