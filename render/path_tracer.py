@@ -79,9 +79,13 @@ def trace(
     seed: int = 0,
     direct: bool = True,
     compiled: bool = True,
+    grid: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Texels:
     """Return (h, w, K) the radiance that reaches the camera, top row first: the mean over each pixel.
+
+    The vectorised variant sees a pixel through the middles of its grid x grid parts, as the other passes do, in turn;
+    the other variant through places at random, since it offers no other: edges then differ.
 
     Args:
         size: (width, height) in pixels.
@@ -89,6 +93,7 @@ def trace(
         samples: paths a pixel, stratified over the pixel and over what sends light (multi-jittered, Kensler 2013).
         direct: whether light that comes without a reflection counts.
         compiled: in the vectorised variant, where there is one: faster, once it has been compiled for these paths.
+        grid: parts along the side of a pixel.
         progress: called with (bands done, bands in all).
 
     Raises:
@@ -111,7 +116,7 @@ def trace(
         if not direct:
             depths.append((-1.0, 1))
         for sign, depth in depths:
-            part = _render(mi, scene, depth, samples, seed, size)
+            part = _render(mi, scene, depth, samples, seed, size, grid)
             n = min(3, n_bands - first)
             picture[..., first : first + n] += np.float32(sign * brightest) * part[..., :n]
         if progress is not None:
@@ -119,16 +124,49 @@ def trace(
     return picture
 
 
-def _render(mi: Any, scene: Any, depth: int, samples: int, seed: int, size: tuple[int, int]) -> Texels:
+def _render(
+    mi: Any, scene: Any, depth: int, samples: int, seed: int, size: tuple[int, int], grid: int
+) -> Texels:
     integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": SURE_REFLECTIONS})
     at_once = max(1, min(samples, MOST_AT_ONCE // (size[0] * size[1])))
     total = np.zeros((size[1], size[0], 3))
     done = part = 0
     while done < samples:
         n = min(at_once, samples - done)
-        total += n * np.asarray(mi.render(scene, integrator=integrator, spp=n, seed=(seed << 12) + part))
+        numbered = (seed << 12) + part
+        if mi.variant() == LLVM:
+            mean = _on_grid(mi, scene, integrator, n, numbered, size, grid)
+        else:
+            mean = np.asarray(mi.render(scene, integrator=integrator, spp=n, seed=numbered))
+        total += n * mean
         done, part = done + n, part + 1
     return (total / samples).astype(np.float32)
+
+
+def _on_grid(
+    mi: Any, scene: Any, integrator: Any, samples: int, seed: int, size: tuple[int, int], grid: int
+) -> Array:
+    """Return (h, w, 3) the mean over so many paths a pixel, or a few more, which begin in the middles of its parts."""
+    import drjit as dr
+
+    width, height = size
+    sampler = scene.sensors()[0].sampler().clone()
+    sampler.set_sample_count(samples)
+    samples = sampler.sample_count()
+    sampler.set_samples_per_wavefront(samples)
+    sampler.seed(seed, width * height * samples)
+    index = dr.arange(mi.UInt32, width * height * samples)
+    pixel = index // samples
+    # Each pixel begins at another part, so that fewer paths than parts favour none.
+    part = (index + mi.sample_tea_32(pixel, seed)[0]) % (grid * grid)
+    x = mi.Float(pixel % width) + (mi.Float(part % grid) + 0.5) / grid
+    y = mi.Float(pixel // width) + (mi.Float(part // grid) + 0.5) / grid
+    ray, _ = scene.sensors()[0].sample_ray(0.0, 0.0, mi.Point2f(x / width, y / height), mi.Point2f(0.5))
+    light, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(ray))
+    film = dr.zeros(mi.Float, 3 * width * height)
+    for k, value in enumerate((light.x, light.y, light.z)):
+        dr.scatter_add(film, value, 3 * pixel + k)
+    return np.asarray(film, dtype=np.float64).reshape(height, width, 3) / samples
 
 
 def _describe(

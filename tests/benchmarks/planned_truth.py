@@ -60,6 +60,7 @@ class Traced:
                 samples=samples,
                 seed=seed,
                 direct=False,
+                grid=self._scene.supersampling,
             )
         return np.asarray(radiance @ xyz_matrix(self._scene.transport), dtype=np.float64)
 
@@ -69,7 +70,7 @@ class Traced:
             self._size,
             self._scene.supersampling,
             stepping=Stepping(self._choices.solver, self._choices.step_s),
-            transport=TransportParameters(Reference.name, samples=1),
+            transport=TransportParameters(Reference.name, samples=FIRST_SAMPLES[1]),
         )
         with self._device.scope():
             renderer = Renderer(self._device, self._scene, parameters)
