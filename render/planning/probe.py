@@ -17,7 +17,7 @@ from phoslab.colorimetry import xyz_matrix
 from phoslab.model_plan import Choices
 from phoslab.render.device import Device
 from phoslab.render.glow_transport import TransportParameters
-from phoslab.render.path_tracer import UNLIMITED, trace
+from phoslab.render.path_tracer import UNLIMITED, find_llvm, trace
 from phoslab.render.phosphor_state import Stepping
 from phoslab.render.planning.pilot import Pilot
 from phoslab.render.planning.reduced import apply
@@ -29,6 +29,10 @@ Array = NDArray[np.float64]
 
 # Of the probe: paths a pixel, texels along the side of a state, samples along that of a pixel, texels of a shadow map.
 FEW, MORE, TEXELS, SUPERSAMPLING, SHADOW_TEXELS = 4, 36, 32, 2, 256
+
+# What the vectorised variant is as noisy as, over the other: it sees a pixel through the same places every time, and
+# stratifies better. 0.58 to 0.87 in seven drawn scenes with 4 to 400 paths a pixel.
+COMPILED = 0.9
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,8 @@ def measure_noise(pilot: Pilot, choices: Choices, *, device: Device | None = Non
     if reflected <= 0:
         return None
     # The difference of two has the noise of both.
-    return PathNoise(*(float(np.abs(a - b).mean() / np.sqrt(2) / reflected) for a, b in (few, more)))
+    over = reflected * np.sqrt(2) * (1.0 if find_llvm() is None else 1 / COMPILED)
+    return PathNoise(*(float(np.abs(a - b).mean() / over) for a, b in (few, more)))
 
 
 def most_reflected(pilot: Pilot) -> int:

@@ -24,7 +24,7 @@ def drawn(tmp_path_factory, planned_scenes):
 
 @pytest.mark.parametrize("samples", [FEW, 16])
 def test_a_picture_is_as_noisy_as_the_probe_says_or_less(drawn, device, samples):
-    """Less by half at most: the variant that is probed stratifies worse than the one that renders."""
+    """Less by half at most: the variant that is probed may stratify worse than the one that renders."""
     pytest.importorskip("mitsuba")
     scene, time = drawn
     pilot = look(scene, [scene.schedule.parse_time(time)], SIZE)
