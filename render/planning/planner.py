@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
-from phoslab.model_plan import Choices, ModelPlan, Surface, Term
+from phoslab.model_plan import Choices, ModelPlan, Surface
 from phoslab.render.device import Device
 from phoslab.render.glow_transport import NONE
 from phoslab.render.planning import spectrum_terms, state_terms, texel_terms, transport_terms
 from phoslab.render.planning.bounds import Bound
 from phoslab.render.planning.costs import Costs, Work, pictures
+from phoslab.render.planning.decisions import decided, out_of_reach
 from phoslab.render.planning.notes import notes
 from phoslab.render.planning.pilot import Pilot, look
 from phoslab.render.planning.probe import PathNoise, measure_noise
@@ -36,6 +37,10 @@ Array = NDArray[np.float64]
 
 # Moments that are looked at, of those asked for: the first, the last and some between.
 MOMENTS = 6
+
+# A picture of paths that takes three times as long is worth a second of compiling to know its noise. Three: knowing
+# better saves at most so much, and the plan is still a long one.
+LONG_S = 20.0
 
 # Of the bound: what a plan may predict. The rest is for what a prediction is off by; docs/planning.md has how often.
 BUDGET = 0.9
@@ -56,7 +61,14 @@ class Request:
 
 
 class Planner:
-    """Predicts the error and the cost of choices, and finds the cheapest within a bound."""
+    """Predicts the error and the cost of choices, and finds the cheapest within a bound.
+
+    Attributes:
+        drawn: how many pictures are drawn where glow is transported.
+        slope: how much a small relative error of the radiance is in the unit of the bound.
+        steps: ways to step, the longest first.
+        total: (T,) mean X + Y + Z of the picture.
+    """
 
     def __init__(self, request: Request, costs: Costs, device: Device | None = None) -> None:
         self.request, self.costs, self._device = request, costs, device
@@ -68,11 +80,11 @@ class Planner:
                 field="the picture",
                 remedy="Ask for a time at which a lamp is on or something glows.",
             )
-        self._drawn = pictures(scene, list(request.moments))
+        self.drawn = pictures(scene, list(request.moments))
         self.slope = transport_terms.slope(self.pilot, request.bound)
         self.steps = steps(self.pilot)
         lamp, glow, bounces = self.pilot.means()
-        self._total: Array = lamp + glow + bounces.sum(axis=0)
+        self.total: Array = lamp + glow + bounces.sum(axis=0)
         self._elsewhere = PathNoise.of_independent(costs.path_noise)
         self._known: dict[int, dict[int, tuple[state_terms.Groups, Array]]] = {}
 
@@ -86,8 +98,10 @@ class Planner:
         # How noisy paths are is not worth knowing where no way but one that needs none is in question.
         if best is None or best[1].gi["method"] != NONE:
             best, closest = self._cheapest(self.path_noise)
+        if best is not None and best[1].gi["method"] == transport_terms.REFERENCE and best[0] > 3 * LONG_S:
+            best = self._cheapest(self.long_path_noise)[0] or best
         if best is None:
-            raise self._out_of_reach(closest)
+            raise out_of_reach(self, closest, BUDGET)
         return self.explain(best[1])
 
     def _cheapest(self, path_noise: PathNoise) -> tuple[tuple[float, Choices] | None, Choices]:
@@ -117,13 +131,21 @@ class Planner:
     @cached_property
     def path_noise(self) -> PathNoise:
         """How noisy paths are in this scene."""
+        return self._probed(compiled=False)
+
+    @cached_property
+    def long_path_noise(self) -> PathNoise:
+        """The same, better known, for a picture that takes longer than `LONG_S`."""
+        return self._probed(compiled=True)
+
+    def _probed(self, *, compiled: bool) -> PathNoise:
         if not transport_terms.traces_paths() or not self.pilot.bounces.any():
             return self._elsewhere
         few, _ = self.bands[min(n for n in self.bands if n >= min(3, max(self.bands)))]
         plain = replace(whole(self.request.scene), bands_nm=tuple(few.edges_nm.tolist()))
         stepped = self.steps[0]
         choices = replace(plain, solver=stepped.solver, step_s=stepped.step_s)
-        noise = measure_noise(self.pilot, choices, device=self._device)
+        noise = measure_noise(self.pilot, choices, compiled=compiled, device=self._device)
         return self._elsewhere if noise is None else noise
 
     def explain(self, choices: Choices) -> ModelPlan:
@@ -141,7 +163,7 @@ class Planner:
             size=self.request.size,
             times=self.request.times,
             choices=choices,
-            terms=tuple(self._terms(choices)),
+            terms=tuple(decided(self, choices)),
             predicted_s=self.predict_s(choices),
             notes=notes(self.pilot, choices),
         )
@@ -153,8 +175,8 @@ class Planner:
             request.size,
             request.scene.supersampling,
             len(request.moments),
-            self._drawn,
-            self._stepped(choices).steps,
+            self.drawn,
+            self.stepped(choices).steps,
         )
         return self.costs.predict_s(choices, work)
 
@@ -181,7 +203,7 @@ class Planner:
                 gi={"method": NONE},
             )
             error += self.slope * (
-                self._glow_error(surfaces) + self._state_error(surfaces) + self._texel_error(surfaces)
+                self.glow_error(surfaces) + self.state_error(surfaces) + self.texel_error(surfaces)
             )
             if error <= budget or not any(TOLERANCES[: details.index(detail)]):
                 yield choices, error
@@ -224,17 +246,25 @@ class Planner:
             if drawable.phosphor is not None:
                 yield k, drawable.name
 
+    def noise_of(self, choices: Choices) -> PathNoise:
+        """Return how noisy the paths of some choices are, known as well as they pay for."""
+        if choices.gi["method"] != transport_terms.REFERENCE:
+            return self._elsewhere
+        return self.long_path_noise if self.predict_s(choices) > LONG_S else self.path_noise
+
     def _share(self, k: int) -> Array:
         """Return (T,) the share of the light in the picture that is a surface's glow, straight and reflected."""
         given = self.pilot.by_source[:, :, k].sum(axis=0)
-        share: Array = np.divide(given, self._total, out=np.zeros_like(given), where=self._total > 0)
+        share: Array = np.divide(given, self.total, out=np.zeros_like(given), where=self.total > 0)
         return share
 
-    def _glow_error(self, surfaces: dict[str, Surface]) -> float:
+    def glow_error(self, surfaces: dict[str, Surface]) -> float:
+        """Return what is lost by surfaces that do not glow, relative to the picture."""
         shares = [self._share(k) for k, name in self._phosphors() if not surfaces[name].glows]
         return float(np.sum(shares, axis=0).max()) if shares else 0.0
 
-    def _state_error(self, surfaces: dict[str, Surface]) -> float:
+    def state_error(self, surfaces: dict[str, Surface]) -> float:
+        """Return what is lost by fewer states, relative to the picture."""
         errors = [
             self._share(k) * self._change(k, surfaces[name].states)
             for k, name in self._phosphors()
@@ -248,7 +278,8 @@ class Planner:
                 return error
         return state_terms.change(self.pilot, self.pilot.sampled[k], groups)
 
-    def _texel_error(self, surfaces: dict[str, Surface]) -> float:
+    def texel_error(self, surfaces: dict[str, Surface]) -> float:
+        """Return what is lost by fewer texels, relative to the picture."""
         errors = [
             self._share(k) * texel_terms.texel_error(self.pilot, self.costs, k, surfaces[name].atlas_texels)
             for k, name in self._phosphors()
@@ -256,153 +287,14 @@ class Planner:
         ]
         return float(np.sum(errors, axis=0).max()) if errors else 0.0
 
-    def _stepped(self, choices: Choices) -> Stepped:
+    def stepped(self, choices: Choices) -> Stepped:
         """Return the way of stepping that is nearest to what the choices say."""
         if len(self.steps) == 1:
             return self.steps[0]
         return min(self.steps, key=lambda s: abs(math.log(s.step_s / choices.step_s)))
-
-    def _terms(self, choices: Choices) -> Iterator[Term]:
-        request, pilot, scale = self.request, self.pilot, self.slope
-        surfaces = dict(choices.surfaces)
-        dark = [name for name, s in surfaces.items() if not s.glows]
-        glowing = [name for name, s in surfaces.items() if s.glows]
-        yield Term(
-            "glow",
-            f"{len(glowing)} of {len(surfaces)} surfaces",
-            scale * self._glow_error(surfaces),
-            "estimate",
-            f"the light of {_names(dark)} is not seen beside the rest"
-            if dark
-            else "all that can glow is seen",
-        )
-        own = {d.name: d.phosphor.optics.n_states for d in request.scene.phosphors if d.phosphor is not None}
-        kept, all_states = sum(len(surfaces[n].states) for n in glowing), sum(own[n] for n in glowing)
-        yield Term(
-            "states",
-            f"{kept} of {all_states}",
-            scale * self._state_error(surfaces),
-            "estimate",
-            "the others have died, were never charged, or fade like one that is kept"
-            if kept < all_states
-            else "each is seen at some time asked for",
-        )
-        bands = Bands(np.array(choices.bands_nm))
-        colours = spectrum_terms.errors(
-            spectrum_terms.Sources.of(request.scene, pilot), request.scene.transport, bands
-        )
-        yield Term(
-            "bands",
-            f"{bands.n} of {request.scene.transport.n}",
-            scale * spectrum_terms.picture_error(colours, pilot),
-            "bound",
-            "each lamp excites each state by one number; light needs no more bands for its colour"
-            if bands != request.scene.transport
-            else "fewer would change a colour by more, or cost the same",
-        )
-        stepped = self._stepped(choices)
-        yield Term(
-            "solver",
-            choices.solver if len(self.steps) == 1 else f"{choices.solver}, {choices.step_s:.3g} s",
-            scale * stepped.error,
-            "bound" if len(self.steps) == 1 else "estimate",
-            "light is constant between its changes: one step to each"
-            if len(self.steps) == 1
-            else "light varies: the step is as long as halving it allows",
-        )
-        largest = max((surfaces[n].atlas_texels for n in glowing), default=0)
-        fewest = min((surfaces[n].atlas_texels for n in glowing), default=0)
-        yield Term(
-            "texels",
-            "-" if not glowing else f"{fewest}" if fewest == largest else f"{fewest} to {largest}",
-            scale * self._texel_error(surfaces),
-            "estimate",
-            "as many as the camera can tell apart" if glowing else "nothing glows",
-        )
-        yield Term(
-            "state format",
-            choices.state_format,
-            scale * _format_error(choices.state_format, stepped.steps),
-            "bound",
-            "what is stored at each change of light is rounded to it",
-        )
-        yield from self._transport_terms(choices)
-
-    def _transport_terms(self, choices: Choices) -> Iterator[Term]:
-        request = self.request
-        way = transport_terms.inexactness(
-            self.pilot,
-            request.bound,
-            self.costs,
-            self.path_noise if choices.gi["method"] == transport_terms.REFERENCE else self._elsewhere,
-            dict(choices.gi),
-        )
-        bounces = self.pilot.means()[2]
-        share = float((bounces.sum(axis=0) / np.maximum(self._total, 1e-300)).max())
-        method = choices.gi["method"]
-        said = f"glow that others reflect is {share:.1%} of the light"
-        endless = method == transport_terms.REFERENCE and choices.gi.get("full", False)
-        parameters = ", ".join(
-            f"{v} {k}" for k, v in choices.gi.items() if k not in ("method", "full", "bounces")
-        )
-        yield Term(
-            "reflections",
-            "0" if method == NONE else "all" if endless else str(choices.gi.get("bounces", 1)),
-            way.left_out,
-            "estimate",
-            said,
-        )
-        yield Term(
-            "gi",
-            method + (f", {parameters}" if parameters else ""),
-            way.inexact,
-            "estimate",
-            "nothing to transport"
-            if method == NONE
-            else "noise measured in this scene"
-            if method == transport_terms.REFERENCE
-            else "measured on scenes of the trade",
-        )
-        n = len(set(request.moments))
-        drawn = self._drawn if method != NONE else n
-        yield Term(
-            "fade basis",
-            "yes" if drawn < n else "no",
-            0.0,
-            "bound",
-            f"{drawn} pictures serve {n} times"
-            if drawn < n
-            else "it would take as many pictures as there are times",
-        )
-
-    def _out_of_reach(self, choices: Choices) -> PhoslabError:
-        bound = self.request.bound
-        terms = list(self._terms(choices))
-        worst = max(terms, key=lambda term: term.error)
-        reached = sum(t.error for t in terms) / BUDGET
-        missing = (
-            ""
-            if transport_terms.traces_paths()
-            else " The path tracer would reach further: pip install 'phoslab[reference]'."
-        )
-        return PhoslabError(
-            f"{bound} is out of reach: {worst.name} ({worst.choice}) alone adds {bound.say(worst.error)}",
-            field="the bound",
-            remedy=f"The best that can be had is {bound.say(reached)}.{missing}",
-        )
-
-
-def _format_error(name: str, changes: int) -> float:
-    """Return the bound on a format's relative error: one rounding for each change of light."""
-    half_unit = {"f32": 2.0**-24, "f32c": 2.0**-45, "f16": 2.0**-11, "unorm16": 2.0**-10}[name]
-    return half_unit * max(1, changes)
 
 
 def _some(moments: Sequence[float]) -> list[float]:
     distinct = sorted(set(moments))
     at = np.unique(np.linspace(0, len(distinct) - 1, MOMENTS).astype(int))
     return [distinct[k] for k in at]
-
-
-def _names(names: Sequence[str]) -> str:
-    return ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"

@@ -2,8 +2,7 @@
 
 Two pictures that differ by their seeds alone differ by their noise alone. With few paths it falls faster than with the
 root of their number, since they are stratified; so it is measured for few and for more, and from there on the root is
-taken. In three bands, with few texels, and in the variant that needs no compiling: what is sought is the noise, not the
-picture.
+taken. In three bands and with few texels: what is sought is the noise, not the picture.
 """
 
 from __future__ import annotations
@@ -56,18 +55,21 @@ class PathNoise:
         return cls(of_one / float(np.sqrt(FEW)), of_one / float(np.sqrt(MORE)))
 
 
-def measure_noise(pilot: Pilot, choices: Choices, *, device: Device | None = None) -> PathNoise | None:
+def measure_noise(
+    pilot: Pilot, choices: Choices, *, compiled: bool = False, device: Device | None = None
+) -> PathNoise | None:
     """Return how noisy reflected glow is when it is the most of the light.
 
     Args:
         choices: what of the scene to trace.
+        compiled: in the variant that pictures are traced in; else in that which needs no compiling.
 
     Returns:
         None where no reflected glow is met.
     """
     if device is None:
         with Device() as own:
-            return measure_noise(pilot, choices, device=own)
+            return measure_noise(pilot, choices, compiled=compiled, device=own)
     size = pilot.shape[::-1]
     surfaces = {k: replace(s, atlas_texels=min(s.atlas_texels, TEXELS)) for k, s in choices.surfaces.items()}
     scene = apply(pilot.scene, replace(choices, surfaces=surfaces))
@@ -94,7 +96,8 @@ def measure_noise(pilot: Pilot, choices: Choices, *, device: Device | None = Non
             samples=samples,
             seed=seed,
             direct=False,
-            compiled=False,
+            compiled=compiled,
+            grid=scene.supersampling,
         )
         return np.asarray(picture @ xyz_matrix(scene.transport))
 
@@ -103,7 +106,7 @@ def measure_noise(pilot: Pilot, choices: Choices, *, device: Device | None = Non
     if reflected <= 0:
         return None
     # The difference of two has the noise of both.
-    over = reflected * np.sqrt(2) * (1.0 if find_llvm() is None else 1 / COMPILED)
+    over = reflected * np.sqrt(2) * (1.0 if compiled or find_llvm() is None else 1 / COMPILED)
     return PathNoise(*(float(np.abs(a - b).mean() / over) for a, b in (few, more)))
 
 
