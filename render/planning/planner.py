@@ -40,7 +40,7 @@ MOMENTS = 6
 
 # A picture of paths that takes three times as long is worth a second of compiling to know its noise. Three: knowing
 # better saves at most so much, and the plan is still a long one.
-LONG_S = 20.0
+LONG_S = 4.0
 
 # Of the bound: what a plan may predict. The rest is for what a prediction is off by; docs/planning.md has how often.
 BUDGET = 0.9
