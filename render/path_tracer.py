@@ -78,7 +78,6 @@ def trace(
     samples: int,
     seed: int = 0,
     direct: bool = True,
-    compiled: bool = True,
     grid: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Texels:
@@ -92,15 +91,13 @@ def trace(
         reflections: the most on a path; `UNLIMITED` follows light to its end.
         samples: paths a pixel, stratified over the pixel and over what sends light (multi-jittered, Kensler 2013).
         direct: whether light that comes without a reflection counts.
-        compiled: in the vectorised variant, where there is one: faster, once it has been compiled for these paths.
         grid: parts along the side of a pixel.
         progress: called with (bands done, bands in all).
 
     Raises:
         PhoslabError: Mitsuba is not installed.
     """
-    mi, variant = _mitsuba(compiled)
-    mi.set_variant(variant)
+    mi = _mitsuba()
     n_bands = meshes[0].reflectance.shape[-1]
     brightest = max((float(m.radiance.max()) for m in meshes if m.radiance is not None), default=0.0)
     picture = np.zeros((size[1], size[0], n_bands), dtype=np.float32)
@@ -255,13 +252,13 @@ def _bitmap(mi: Any, texels: Texels, wrap: str, filter_type: str) -> dict[str, A
 
 
 @cache
-def _mitsuba(compiled: bool = True) -> tuple[Any, str]:
-    """Load Mitsuba; return it and its variant: the vectorised one where there is an LLVM for it.
+def _mitsuba() -> Any:
+    """Load Mitsuba in its faster variant where there is an LLVM for it.
 
     Raises:
         PhoslabError: it is not installed.
     """
-    llvm = find_llvm() if compiled else None
+    llvm = find_llvm()
     if llvm is not None:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(llvm)
     try:
@@ -270,10 +267,9 @@ def _mitsuba(compiled: bool = True) -> tuple[Any, str]:
         raise PhoslabError(
             "is not installed", field="the path tracer mitsuba", remedy="pip install 'phoslab[reference]'"
         ) from error
-    variant = SCALAR if llvm is None else LLVM
-    mitsuba.set_variant(variant)
+    mitsuba.set_variant(SCALAR if llvm is None else LLVM)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
-    return mitsuba, variant
+    return mitsuba
 
 
 def find_llvm() -> Path | None:

@@ -28,7 +28,7 @@ from phoslab.render.planning.costs import Costs, Work, pictures
 from phoslab.render.planning.decisions import decided, out_of_reach
 from phoslab.render.planning.notes import notes
 from phoslab.render.planning.pilot import Pilot, look
-from phoslab.render.planning.probe import PathNoise, measure_noise
+from phoslab.render.planning.probe import PATHS, PathNoise, measure_noise
 from phoslab.render.planning.reduced import check_fit, whole
 from phoslab.render.planning.step_terms import Stepped, steps
 from phoslab.render.scene import Scene
@@ -37,10 +37,6 @@ Array = NDArray[np.float64]
 
 # Moments that are looked at, of those asked for: the first, the last and some between.
 MOMENTS = 6
-
-# A picture of paths that takes three times as long is worth a second of compiling to know its noise. Three: knowing
-# better saves at most so much, and the plan is still a long one.
-LONG_S = 4.0
 
 # Of the bound: what a plan may predict. The rest is for what a prediction is off by; docs/planning.md has how often.
 BUDGET = 0.9
@@ -85,7 +81,7 @@ class Planner:
         self.steps = steps(self.pilot)
         lamp, glow, bounces = self.pilot.means()
         self.total: Array = lamp + glow + bounces.sum(axis=0)
-        self._elsewhere = PathNoise.of_independent(costs.path_noise)
+        self._elsewhere = PathNoise(costs.path_noise / math.sqrt(PATHS))
         self._known: dict[int, dict[int, tuple[state_terms.Groups, Array]]] = {}
 
     def plan(self) -> ModelPlan:
@@ -98,8 +94,6 @@ class Planner:
         # How noisy paths are is not worth knowing where no way but one that needs none is in question.
         if best is None or best[1].gi["method"] != NONE:
             best, closest = self._cheapest(self.path_noise)
-        if best is not None and best[1].gi["method"] == transport_terms.REFERENCE and best[0] > 3 * LONG_S:
-            best = self._cheapest(self.long_path_noise)[0] or best
         if best is None:
             raise out_of_reach(self, closest, BUDGET)
         return self.explain(best[1])
@@ -131,21 +125,13 @@ class Planner:
     @cached_property
     def path_noise(self) -> PathNoise:
         """How noisy paths are in this scene."""
-        return self._probed(compiled=False)
-
-    @cached_property
-    def long_path_noise(self) -> PathNoise:
-        """The same, better known, for a picture that takes longer than `LONG_S`."""
-        return self._probed(compiled=True)
-
-    def _probed(self, *, compiled: bool) -> PathNoise:
         if not transport_terms.traces_paths() or not self.pilot.bounces.any():
             return self._elsewhere
         few, _ = self.bands[min(n for n in self.bands if n >= min(3, max(self.bands)))]
         plain = replace(whole(self.request.scene), bands_nm=tuple(few.edges_nm.tolist()))
         stepped = self.steps[0]
         choices = replace(plain, solver=stepped.solver, step_s=stepped.step_s)
-        noise = measure_noise(self.pilot, choices, compiled=compiled, device=self._device)
+        noise = measure_noise(self.pilot, choices, device=self._device)
         return self._elsewhere if noise is None else noise
 
     def explain(self, choices: Choices) -> ModelPlan:
@@ -247,10 +233,8 @@ class Planner:
                 yield k, drawable.name
 
     def noise_of(self, choices: Choices) -> PathNoise:
-        """Return how noisy the paths of some choices are, known as well as they pay for."""
-        if choices.gi["method"] != transport_terms.REFERENCE:
-            return self._elsewhere
-        return self.long_path_noise if self.predict_s(choices) > LONG_S else self.path_noise
+        """Return how noisy paths are in this scene, if the choices have any."""
+        return self.path_noise if choices.gi["method"] == transport_terms.REFERENCE else self._elsewhere
 
     def _share(self, k: int) -> Array:
         """Return (T,) the share of the light in the picture that is a surface's glow, straight and reflected."""

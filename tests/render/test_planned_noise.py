@@ -10,7 +10,7 @@ import pytest
 from phoslab.render import load_scene
 from phoslab.render.planning import render_choices
 from phoslab.render.planning.pilot import look
-from phoslab.render.planning.probe import FEW, MORE, PathNoise, measure_noise
+from phoslab.render.planning.probe import PATHS, PathNoise, measure_noise
 from phoslab.render.planning.reduced import whole
 
 SIZE = (64, 64)
@@ -22,9 +22,10 @@ def drawn(tmp_path_factory, planned_scenes):
     return load_scene(scene.folder), scene.time
 
 
-@pytest.mark.parametrize("samples", [FEW, 16])
-def test_a_picture_is_as_noisy_as_the_probe_says_or_less(drawn, device, samples):
-    """Less by half at most: the variant that is probed may stratify worse than the one that renders."""
+@pytest.mark.parametrize("samples", [4, 64])
+def test_a_picture_is_as_noisy_as_the_probe_says(drawn, device, samples):
+    """Within a tenth more: the probe's pixels are larger. A quarter less: few paths are taken to be worse than they
+    were in any scene that was tried, and many to gain by their number alone."""
     pytest.importorskip("mitsuba")
     scene, time = drawn
     pilot = look(scene, [scene.schedule.parse_time(time)], SIZE)
@@ -39,14 +40,11 @@ def test_a_picture_is_as_noisy_as_the_probe_says_or_less(drawn, device, samples)
     one, other = (picture(method="reference", samples=samples, full=True, seed=s) for s in (1, 2))
     reflected = float(((one + other) / 2 - bare).mean())
     seen = float(np.abs(one - other).mean() / np.sqrt(2)) / reflected
-    assert 0.5 * noise.of(samples) < seen < 1.1 * noise.of(samples)
+    assert 0.75 * noise.of(samples) < seen < 1.1 * noise.of(samples)
 
 
-def test_noise_between_the_two_that_were_measured_is_between_them():
-    noise = PathNoise(0.6, 0.1)
-    assert noise.of(FEW) == pytest.approx(0.6)
-    assert noise.of(MORE) == pytest.approx(0.1)
-    assert 0.1 < noise.of(12) < 0.6
-    # The root, and no more than the root, from there on.
-    assert noise.of(4 * MORE) == pytest.approx(0.05)
-    assert noise.of(1) == pytest.approx(1.2)
+def test_noise_falls_with_the_root_of_many_paths_and_faster_with_few():
+    noise = PathNoise(0.1)
+    assert noise.of(PATHS) == pytest.approx(0.1)
+    assert noise.of(4 * PATHS) == pytest.approx(0.05)
+    assert noise.of(PATHS // 4) > 0.2
