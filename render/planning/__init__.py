@@ -15,6 +15,7 @@ from phoslab.errors import PhoslabError
 from phoslab.model_plan import Choices, ModelPlan
 from phoslab.render import Frames, render
 from phoslab.render.device import Device
+from phoslab.render.planning import decisions
 from phoslab.render.planning.bounds import parse_bound
 from phoslab.render.planning.costs import load_costs
 from phoslab.render.planning.planner import Planner, Request
@@ -45,7 +46,7 @@ def make_plan(
     Raises:
         PhoslabError: no plan holds the bound, or the scene, a time or the bound is wrong.
     """
-    return _planner(_scene(scene), bound, times, size, trade, device).plan()
+    return decisions.plan(_planner(_scene(scene), bound, times, size, trade, device))
 
 
 def check_plan(
@@ -60,7 +61,8 @@ def check_plan(
     Raises:
         PhoslabError: the plan does not fit the scene.
     """
-    again = _planner(_scene(scene), plan.bound, plan.times, plan.size, trade, device).explain(plan.choices)
+    planner = _planner(_scene(scene), plan.bound, plan.times, plan.size, trade, device)
+    again = decisions.explain(planner, plan.choices)
     wrong = []
     if plan.scene_sha256 and plan.scene_sha256 != again.scene_sha256:
         wrong.append("the scene has changed since it was planned")

@@ -2,22 +2,55 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
-from phoslab.model_plan import Choices, Term
+from phoslab.model_plan import Choices, ModelPlan, Term
 from phoslab.render.glow_transport import NONE
 from phoslab.render.planning import spectrum_terms, transport_terms
+from phoslab.render.planning.notes import notes
+from phoslab.render.planning.planner import BUDGET, Planner
+from phoslab.render.planning.reduced import check_fit
 
-if TYPE_CHECKING:
-    from phoslab.render.planning.planner import Planner
+
+def plan(planner: Planner) -> ModelPlan:
+    """Return the cheapest plan that is predicted to hold the bound.
+
+    Raises:
+        PhoslabError: none does; the error names the obstacle and the best that can be had.
+    """
+    choices, holds = planner.choose()
+    if not holds:
+        raise _out_of_reach(planner, choices)
+    return explain(planner, choices)
 
 
-def decided(planner: Planner, choices: Choices) -> Iterator[Term]:
+def explain(planner: Planner, choices: Choices) -> ModelPlan:
+    """Return the plan of these choices: each decision, its error and the reason.
+
+    Raises:
+        PhoslabError: the choices do not fit the scene.
+    """
+    request = planner.request
+    check_fit(request.scene, choices)
+    return ModelPlan(
+        scene="/".join(request.scene.file.resolve().parts[-2:]),
+        scene_sha256=hashlib.sha256(request.scene.file.read_bytes()).hexdigest(),
+        bound=str(request.bound),
+        size=request.size,
+        times=request.times,
+        choices=choices,
+        terms=tuple(_decided(planner, choices)),
+        predicted_s=planner.predict_s(choices),
+        notes=notes(planner.pilot, choices),
+    )
+
+
+def _decided(planner: Planner, choices: Choices) -> Iterator[Term]:
     """Yield every decision of `choices`; their errors are in the unit of the bound."""
     request, pilot, scale = planner.request, planner.pilot, planner.slope
     surfaces = dict(choices.surfaces)
@@ -127,16 +160,12 @@ def _transport(planner: Planner, choices: Choices) -> Iterator[Term]:
     )
 
 
-def out_of_reach(planner: Planner, choices: Choices, budget: float) -> PhoslabError:
-    """Return what to say where even `choices`, the best there are, miss the bound.
-
-    Args:
-        budget: the share of a bound that a plan may predict.
-    """
+def _out_of_reach(planner: Planner, choices: Choices) -> PhoslabError:
+    """Return what to say where even `choices`, the best there are, miss the bound."""
     bound = planner.request.bound
-    terms = list(decided(planner, choices))
+    terms = list(_decided(planner, choices))
     worst = max(terms, key=lambda term: term.error)
-    reached = sum(t.error for t in terms) / budget
+    reached = sum(t.error for t in terms) / BUDGET
     missing = (
         ""
         if transport_terms.traces_paths()

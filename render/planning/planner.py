@@ -7,7 +7,6 @@ combinations, against a budget for the sum.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -19,17 +18,15 @@ from numpy.typing import NDArray
 
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
-from phoslab.model_plan import Choices, ModelPlan, Surface
+from phoslab.model_plan import Choices, Surface
 from phoslab.render.device import Device
 from phoslab.render.glow_transport import NONE
 from phoslab.render.planning import spectrum_terms, state_terms, texel_terms, transport_terms
 from phoslab.render.planning.bounds import Bound
 from phoslab.render.planning.costs import Costs, Work, pictures
-from phoslab.render.planning.decisions import decided, out_of_reach
-from phoslab.render.planning.notes import notes
 from phoslab.render.planning.pilot import Pilot, look
 from phoslab.render.planning.probe import PATHS, PathNoise, measure_noise
-from phoslab.render.planning.reduced import check_fit, whole
+from phoslab.render.planning.reduced import whole
 from phoslab.render.planning.step_terms import Stepped, steps
 from phoslab.render.scene import Scene
 
@@ -84,19 +81,13 @@ class Planner:
         self._elsewhere = PathNoise(costs.path_noise / math.sqrt(PATHS))
         self._known: dict[int, dict[int, tuple[state_terms.Groups, Array]]] = {}
 
-    def plan(self) -> ModelPlan:
-        """Return the cheapest plan that is predicted to hold the bound.
-
-        Raises:
-            PhoslabError: none does; the error names the obstacle and the best that can be had.
-        """
+    def choose(self) -> tuple[Choices, bool]:
+        """Return the cheapest choices that are predicted to hold the bound; or those that err least, and False."""
         best, closest = self._cheapest(self._elsewhere)
         # How noisy paths are is not worth knowing where no way but one that needs none is in question.
         if best is None or best[1].gi["method"] != NONE:
             best, closest = self._cheapest(self.path_noise)
-        if best is None:
-            raise out_of_reach(self, closest, BUDGET)
-        return self.explain(best[1])
+        return (closest, False) if best is None else (best[1], True)
 
     def _cheapest(self, path_noise: PathNoise) -> tuple[tuple[float, Choices] | None, Choices]:
         """Return the cheapest choices within the budget with their cost in s, and those of the least error."""
@@ -133,26 +124,6 @@ class Planner:
         choices = replace(plain, solver=stepped.solver, step_s=stepped.step_s)
         noise = measure_noise(self.pilot, choices, device=self._device)
         return self._elsewhere if noise is None else noise
-
-    def explain(self, choices: Choices) -> ModelPlan:
-        """Return the plan of these choices: each decision, its error and the reason.
-
-        Raises:
-            PhoslabError: the choices do not fit the scene.
-        """
-        scene, bound = self.request.scene, self.request.bound
-        check_fit(scene, choices)
-        return ModelPlan(
-            scene="/".join(scene.file.resolve().parts[-2:]),
-            scene_sha256=hashlib.sha256(scene.file.read_bytes()).hexdigest(),
-            bound=str(bound),
-            size=self.request.size,
-            times=self.request.times,
-            choices=choices,
-            terms=tuple(decided(self, choices)),
-            predicted_s=self.predict_s(choices),
-            notes=notes(self.pilot, choices),
-        )
 
     def predict_s(self, choices: Choices) -> float:
         """Return the predicted time of all pictures in s."""

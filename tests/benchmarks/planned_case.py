@@ -11,7 +11,7 @@ from planned_truth import Truth
 from phoslab.model_plan import Choices, ModelPlan
 from phoslab.render.device import Device
 from phoslab.render.frames import auto_exposure
-from phoslab.render.planning import render_choices
+from phoslab.render.planning import decisions, render_choices
 from phoslab.render.planning.bounds import Bound
 from phoslab.render.planning.costs import load_costs
 from phoslab.render.planning.pilot import look
@@ -68,7 +68,7 @@ class Case:
         """Plan; return how long it took in s, too."""
         begin = time.perf_counter()
         planner = Planner(self.request, self.costs, self._device)
-        plan = planner.plan()
+        plan = decisions.plan(planner)
         return planner, plan, time.perf_counter() - begin
 
     def run(self, choices: Choices) -> tuple[float, float]:
