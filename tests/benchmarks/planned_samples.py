@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,31 +48,37 @@ def main() -> None:
             head = f"{name} at {moment}, {args.side}²"
             error, took = case.run(replace(whole(scene), gi=EVERYTHING))
             print(
-                f"{head}, everything: {error:.2g} % in {took:.1f} s (truth within {case.noise:.2g} %)",
+                f"{head}, everything: {error:.2g} % in {took.wall_s:.1f} s (truth within {case.noise:.2g} %)",
                 flush=True,
             )
-            rows.append({"scene": name, "bound": None, "error": error, "seconds": took, "noise": case.noise})
+            rows.append(
+                {"scene": name, "bound": None, "error": error, "seconds": took.wall_s, "noise": case.noise}
+            )
             for bound in BOUNDS:
                 case = Case(device, scene, moment, parse_bound(bound), size, file, args.trade)
-                begin = time.perf_counter()
                 try:
-                    _, plan, _ = case.plan()
+                    _, plan, planning = case.plan()
                 except PhoslabError as refused:
                     print(f"{head}, {bound}: {refused}", flush=True)
                     continue
-                planning = time.perf_counter() - begin
                 said = ", ".join(f"{k} {v}" for k, v in plan.choices.gi.items())
                 if plan.predicted_s > args.most:
                     print(f"{head}, {bound}: {said} would take {plan.predicted_s:.0f} s", flush=True)
                     continue
                 error, took = case.run(plan.choices)
                 print(
-                    f"{head}, {bound}: {error:.2g} % (predicted {plan.predicted_error:.2g}) in {took:.1f} s "
-                    f"(predicted {plan.predicted_s:.1f}), planned in {planning:.2f} s: {said}",
+                    f"{head}, {bound}: {error:.2g} % (predicted {plan.predicted_error:.2g}) in {took.wall_s:.1f} s "
+                    f"(predicted {plan.predicted_s:.1f}), planned in {planning.wall_s:.2f} s: {said}",
                     flush=True,
                 )
                 rows.append(
-                    {"scene": name, "bound": bound, "error": error, "seconds": took, "gi": plan.choices.gi}
+                    {
+                        "scene": name,
+                        "bound": bound,
+                        "error": error,
+                        "seconds": took.wall_s,
+                        "gi": plan.choices.gi,
+                    }
                 )
     (args.out / f"samples-{args.side}.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
 

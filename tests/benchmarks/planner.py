@@ -89,9 +89,11 @@ def hold(seed: int, case: Case) -> dict[str, Any]:
         "noise": case.noise,
         "error": error,
         "predicted": plan.predicted_error,
-        "seconds": took,
+        "seconds": took.wall_s,
+        "cpu_s": took.cpu_s,
         "predicted_s": plan.predicted_s,
-        "planning_s": planning,
+        "planning_s": planning.wall_s,
+        "planning_cpu_s": planning.cpu_s,
         "terms": {t.name: [t.choice, t.error] for t in plan.terms},
     }
 
@@ -103,9 +105,10 @@ def sweep(case: Case) -> dict[str, Any]:
     for count, choices in enumerate(tried, start=1):
         error, least = case.run(choices)
         if error <= case.bound.value:
-            took = min(case.run(plan.choices)[1] for _ in range(2))
-            least = min(least, case.run(choices)[1])
-            return {"ratio": took / least, "cheapest": choices.gi, "tried": count, "of": len(tried)}
+            # Each once more, since what is run first compiles.
+            took = min(case.run(plan.choices)[1].cpu_s for _ in range(2))
+            least_s = min(least.cpu_s, case.run(choices)[1].cpu_s)
+            return {"ratio": took / least_s, "cheapest": choices.gi, "tried": count, "of": len(tried)}
     return {"ratio": None, "tried": len(tried), "of": len(tried)}
 
 
@@ -146,16 +149,17 @@ def summary(results: list[dict[str, Any]]) -> list[str]:
             f"the worst is at {max(alone):.2f} of its bound"
         )
     if made:
-        shares = [r["planning_s"] / r["seconds"] for r in made]
-        within = sum(r["planning_s"] <= max(1.0, 0.1 * r["seconds"]) for r in made)
+        shares = [r["planning_cpu_s"] / r["cpu_s"] for r in made]
+        within = sum(r["planning_cpu_s"] <= max(1.0, 0.1 * r["cpu_s"]) for r in made)
         lines.append(
-            f"planning: median {median(r['planning_s'] for r in made):.2f} s, {median(shares):.2f} of the picture; "
+            f"planning: median {median(r['planning_cpu_s'] for r in made):.2f} s of processors "
+            f"({median(r['planning_s'] for r in made):.2f} s on the clock), {median(shares):.2f} of the picture; "
             f"within 1 s or a tenth of it in {within} of {len(made)}"
         )
     ratios = [r["sweep"]["ratio"] for r in made if "sweep" in r and r["sweep"]["ratio"] is not None]
     if ratios:
         lines.append(
-            f"cost over the cheapest of the grid: median {median(ratios):.2f}, worst {max(ratios):.2f}, "
+            f"time of processors over the cheapest of the grid: median {median(ratios):.2f}, worst {max(ratios):.2f}, "
             f"of {len(ratios)} scenes"
         )
     return lines
