@@ -81,7 +81,7 @@ def _decided(planner: Planner, choices: Choices) -> Iterator[Term]:
     yield Term(
         "bands",
         f"{bands.n} of {request.scene.transport.n}",
-        scale * spectrum_terms.picture_error(colours, pilot),
+        scale * spectrum_terms.picture_error(colours, pilot, request.bound.of_the_whole),
         "bound",
         "each lamp excites each state by one number; light needs no more bands for its colour"
         if bands != request.scene.transport

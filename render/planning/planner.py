@@ -111,7 +111,7 @@ class Planner:
     @cached_property
     def bands(self) -> dict[int, tuple[Bands, float]]:
         """By their number: the best bands found, and what they err by."""
-        return spectrum_terms.fewest_bands(self.request.scene, self.pilot)
+        return spectrum_terms.fewest_bands(self.request.scene, self.pilot, self.request.bound.of_the_whole)
 
     @cached_property
     def path_noise(self) -> PathNoise:
@@ -211,7 +211,8 @@ class Planner:
         """Return (T,) the share of the light in the picture that is a surface's glow, straight and reflected."""
         given = self.pilot.by_source[:, :, k].sum(axis=0)
         share: Array = np.divide(given, self.total, out=np.zeros_like(given), where=self.total > 0)
-        return share
+        # Where dark pixels count as much as bright ones, a dim surface may be all there is in many.
+        return share if self.request.bound.of_the_whole else np.where(share > 0, 1.0, 0.0)
 
     def glow_error(self, surfaces: dict[str, Surface]) -> float:
         """Return what is lost by surfaces that do not glow, relative to the picture."""

@@ -148,10 +148,17 @@ def exposures(pilot: Pilot) -> list[float]:
 
 
 def slope(pilot: Pilot, bound: Bound) -> float:
-    """Return how much a small relative change of the radiance is in the bound's unit: the worst of a few patterns."""
+    """Return how much a small relative change of the radiance is in the bound's unit: the worst of a few patterns.
+
+    Either all three of XYZ change by the same share of themselves, or one by that share of all three.
+    """
     step, worst = 0.01, 0.0
+    shares = ((1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), (1.0, 0.0, -1.0), (-1.0, 1.0, -1.0))
+    alone = (*np.eye(3), *-np.eye(3))
     for picture, exposure in zip(pilot.pictures, exposures(pilot), strict=True):
-        for pattern in ((1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), (1.0, 0.0, -1.0), (-1.0, 1.0, -1.0)):
-            changed = picture * (1 + step * np.array(pattern))
+        total = picture.sum(axis=-1, keepdims=True)
+        changes = [*(picture * np.array(share) for share in shares), *(total * one for one in alone)]
+        for change in changes:
+            changed = np.maximum(picture + step * change, 0.0)
             worst = max(worst, bound.error(changed, picture, exposure) / step)
     return worst
