@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phoslab.bands import rebin
 from phoslab.colorimetry import xyz_matrix
@@ -25,6 +26,8 @@ from phoslab.render.reference import Reference
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.render.shadow_map import ShadowMapParameters
 
+Array = NDArray[np.float64]
+
 # Of the probe: paths a pixel, texels along the side of a state, samples along that of a pixel, texels of a shadow map.
 PATHS, TEXELS, SUPERSAMPLING, SHADOW_TEXELS = 16, 32, 2, 256
 
@@ -32,11 +35,17 @@ PATHS, TEXELS, SUPERSAMPLING, SHADOW_TEXELS = 16, 32, 2, 256
 STRATIFIED = 0.75
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PathNoise:
-    """Mean relative error of reflected glow with `PATHS` paths a pixel."""
+    """How noisy reflected glow is.
+
+    Args:
+        of_probe: mean relative error with `PATHS` paths a pixel.
+        pattern: (h, w, 3) noise of the pilot's picture, its mean absolute value being 1; None: not known.
+    """
 
     of_probe: float
+    pattern: Array | None = None
 
     def of(self, samples: int) -> float:
         """Return that of so many paths."""
@@ -94,7 +103,9 @@ def measure_noise(pilot: Pilot, choices: Choices, *, device: Device | None = Non
     if brightness <= 0:
         return None
     # The difference of two has the noise of both.
-    return PathNoise(float(np.abs(one - other).mean()) / np.sqrt(2) / brightness)
+    noise = np.asarray(one - other, dtype=np.float64)
+    size_of_noise = float(np.abs(noise).mean())
+    return PathNoise(size_of_noise / np.sqrt(2) / brightness, noise / max(size_of_noise, 1e-300))
 
 
 def most_reflected(pilot: Pilot) -> int:

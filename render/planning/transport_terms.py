@@ -79,7 +79,9 @@ def ways(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise) -> Ite
     if traces_paths():
         for samples in SAMPLES:
             gi = {"method": REFERENCE, "samples": samples, "full": True}
-            yield Way(gi, 0.0, _inexact(pilot, bound, None, path_noise.of(samples)))
+            yield Way(
+                gi, 0.0, _inexact(pilot, bound, None, path_noise.of(samples), pattern=path_noise.pattern)
+            )
 
 
 def inexactness(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise, gi: dict[str, Any]) -> Way:
@@ -93,7 +95,7 @@ def inexactness(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise,
         return Way(
             gi,
             0.0 if endless else _left_out(pilot, bound, order),
-            _inexact(pilot, bound, None if endless else order, noise),
+            _inexact(pilot, bound, None if endless else order, noise, pattern=path_noise.pattern),
         )
     alike = [m for m in costs.gi if m.method == method]
     nearest = min(alike, key=lambda m: unlike(m.parameters, gi), default=None)
@@ -109,7 +111,12 @@ def _left_out(pilot: Pilot, bound: Bound, reflections: int) -> float:
 
 
 def _inexact(
-    pilot: Pilot, bound: Bound, reflections: int | None, error: float, sure: Array | float = 1.0
+    pilot: Pilot,
+    bound: Bound,
+    reflections: int | None,
+    error: float,
+    sure: Array | float = 1.0,
+    pattern: Array | None = None,
 ) -> float:
     """Return what the picture errs by where reflected light does.
 
@@ -117,12 +124,19 @@ def _inexact(
         reflections: the most that are kept; None: all.
         error: mean relative error of the reflected light.
         sure: (T,) by how much that light may be more than the pilot's.
+        pattern: (h, w, 3) how the error lies over the picture, its mean absolute value being 1; None: the same share
+            of reflected light everywhere, up and down in turn.
     """
     reflected = pilot.as_picture(pilot.bounces[:reflections].sum(axis=0))
     picture = pilot.as_picture(pilot.lamp + pilot.glow) + reflected
-    sign = np.where(np.indices(pilot.shape).sum(axis=0) % 2, 1.0, -1.0)[..., None]
-    noisy = np.maximum(picture + sign * error * reflected, 0.0)
-    each = zip(np.broadcast_to(sure, len(noisy)), noisy, picture, exposures(pilot), strict=True)
+    if pattern is None:
+        off = reflected * np.where(np.indices(pilot.shape).sum(axis=0) % 2, 1.0, -1.0)[..., None]
+    else:
+        off = reflected.mean(axis=(1, 2, 3), keepdims=True) * pattern
+    wrong = picture + error * off
+    if not bound.of_the_whole:
+        wrong = np.maximum(wrong, 0.0)
+    each = zip(np.broadcast_to(sure, len(wrong)), wrong, picture, exposures(pilot), strict=True)
     return float(max(more * bound.error(off, right, exposure) for more, off, right, exposure in each))
 
 
