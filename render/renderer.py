@@ -231,6 +231,13 @@ class Renderer:
         self._draw(factors, [state.shown.value for state in self.states])
         return self._make_frame(t_s, label, self.resolve.read(), self._debug_views(factors))
 
+    def light(self, t_s: float) -> None:
+        """Find what the phosphors send at `t_s`, without a picture."""
+        self.bring_states_to(t_s)
+        self._see(t_s)
+        for glow, state in zip(self.glows, self.states, strict=True):
+            glow.run(state.shown.value)
+
     def _draw(self, factors: Mapping[str, float], states: Sequence[moderngl.Texture]) -> None:
         """Draw what the lights and the phosphors in these states give, down to pixels."""
         radiance = self.direct_light.radiance

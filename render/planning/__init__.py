@@ -15,6 +15,7 @@ from phoslab.errors import PhoslabError
 from phoslab.model_plan import Choices, ModelPlan
 from phoslab.render import Frames, render
 from phoslab.render.device import Device
+from phoslab.render.planning import decisions
 from phoslab.render.planning.bounds import parse_bound
 from phoslab.render.planning.costs import load_costs
 from phoslab.render.planning.planner import Planner, Request
@@ -32,6 +33,7 @@ def make_plan(
     *,
     size: tuple[int, int] | None = None,
     trade: str | PathLike[str] | None = None,
+    device: Device | None = None,
 ) -> ModelPlan:
     """Return the cheapest plan that is predicted to hold a bound.
 
@@ -39,22 +41,28 @@ def make_plan(
         bound: `2%`, `1dE` or `0.05flip`; see `bounds.py`.
         times, size: as for `phoslab.render.render`.
         trade: a trade.json of `phoslab trade model`; None: the one that ships.
+        device: that on which to look how noisy paths are; None: one of its own.
 
     Raises:
         PhoslabError: no plan holds the bound, or the scene, a time or the bound is wrong.
     """
-    return _planner(_scene(scene), bound, times, size, trade).plan()
+    return decisions.plan(_planner(_scene(scene), bound, times, size, trade, device))
 
 
 def check_plan(
-    scene: Place, plan: ModelPlan, *, trade: str | PathLike[str] | None = None
+    scene: Place,
+    plan: ModelPlan,
+    *,
+    trade: str | PathLike[str] | None = None,
+    device: Device | None = None,
 ) -> tuple[ModelPlan, str | None]:
     """Return a plan with its errors and cost predicted anew, and what is wrong with it, if anything is.
 
     Raises:
         PhoslabError: the plan does not fit the scene.
     """
-    again = _planner(_scene(scene), plan.bound, plan.times, plan.size, trade).explain(plan.choices)
+    planner = _planner(_scene(scene), plan.bound, plan.times, plan.size, trade, device)
+    again = decisions.explain(planner, plan.choices)
     wrong = []
     if plan.scene_sha256 and plan.scene_sha256 != again.scene_sha256:
         wrong.append("the scene has changed since it was planned")
@@ -123,6 +131,7 @@ def _planner(
     times: Sequence[str | float] | None,
     size: tuple[int, int] | None,
     trade: str | PathLike[str] | None,
+    device: Device | None,
 ) -> Planner:
     wanted = scene.times if times is None else times
     if not wanted:
@@ -132,7 +141,7 @@ def _planner(
         scene.schedule.parse_time(t) if isinstance(t, str) else check_time(float(t), f"{t:g}") for t in wanted
     )
     request = Request(scene, size or scene.size, labels, moments, parse_bound(bound))
-    return Planner(request, load_costs(trade))
+    return Planner(request, load_costs(trade), device)
 
 
 def _scene(scene: Place) -> Scene:

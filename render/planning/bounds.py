@@ -88,6 +88,11 @@ class Bound:
         measure, unit, _ = UNITS[self.unit]
         return measure(np.asarray(a, np.float64), np.asarray(b, np.float64), exposure) / unit
 
+    @property
+    def of_the_whole(self) -> bool:
+        """Whether an error counts by its share of all light; else what is dark counts as much as what is bright."""
+        return self.unit == "%"
+
     def say(self, value: float) -> str:
         """Return a value in this unit as text."""
         space = "" if self.unit == "%" else " "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from os import PathLike
 from typing import Any
 
@@ -12,19 +12,20 @@ import numpy as np
 from phoslab import trades
 from phoslab.model_plan import Choices
 from phoslab.render.fade_basis import faded_stretches, fading_rates
-from phoslab.render.glow_transport import NONE
+from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.optics import layer_count
 from phoslab.render.scene import Scene
 
 
 @dataclass(frozen=True)
 class MeasuredWay:
-    """A way to reflect glow once: mean relative error of the reflected light, and s a pixel."""
+    """A way to reflect glow: mean relative error of the reflected light, s once, and s a pixel."""
 
     method: str
     parameters: dict[str, Any]
     error: float
     s_per_pixel: float
+    once_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Costs:
 
     Args:
         texel_error, texel_power: glow is off by texel_error x^texel_power with texels of x pixels.
-        gi: ways that reflect glow once.
+        gi: ways that reflect glow.
         path_noise: mean relative error of reflected glow with one path a pixel; it falls with the root of their number.
         costs_s: s for each of `features`.
     """
@@ -44,24 +45,22 @@ class Costs:
     path_noise: float
     costs_s: dict[str, float]
 
-    def predict_s(
-        self, scene: Scene, choices: Choices, size: tuple[int, int], moments: list[float], steps: int
-    ) -> float:
+    def predict_s(self, choices: Choices, work: Work) -> float:
         """Return the predicted time of all pictures in s."""
-        pixels = size[0] * size[1]
-        total = float(
-            sum(self.costs_s[k] * v for k, v in features(scene, choices, size, moments, steps).items())
-        )
+        pixels = work.size[0] * work.size[1]
+        total = float(sum(self.costs_s[k] * v for k, v in features(choices, work).items()))
         alike = [m for m in self.gi if m.method == choices.gi["method"]]
         if alike:
             nearest = min(alike, key=lambda m: unlike(m.parameters, choices.gi))
-            total += nearest.s_per_pixel * pixels
+            total += nearest.once_s + nearest.s_per_pixel * pixels
         return total
 
 
 def unlike(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
-    """Return how far apart the parameters `a` of a way are from those of another: in doublings."""
-    return float(sum(abs(np.log2(float(v) / float(b.get(k, v)))) for k, v in a.items()))
+    """Return how far apart two settings of a way are: in doublings."""
+    names = [f.name for f in fields(TransportParameters) if f.name not in ("method", "seed", "full")]
+    x, y = (np.array([float(some.get(n, getattr(TransportParameters, n))) for n in names]) for some in (a, b))
+    return float(np.abs(np.log2((1 + x) / (1 + y))).sum())
 
 
 def load_costs(path: str | PathLike[str] | None = None) -> Costs:
@@ -83,9 +82,26 @@ def load_costs(path: str | PathLike[str] | None = None) -> Costs:
 FEATURES = ("start", "texel_layer", "sample_layer", "texel_step", "path_picture", "path")
 
 
-def features(
-    scene: Scene, choices: Choices, size: tuple[int, int], moments: list[float], steps: int
-) -> dict[str, float]:
+@dataclass(frozen=True)
+class Work:
+    """What is to be drawn.
+
+    Args:
+        size: (width, height) in pixels.
+        supersampling: samples along the side of a pixel.
+        times: how many are asked for.
+        drawn: how many pictures are drawn where glow is transported.
+        steps: of a state.
+    """
+
+    size: tuple[int, int]
+    supersampling: int
+    times: int
+    drawn: int
+    steps: int
+
+
+def features(choices: Choices, work: Work) -> dict[str, float]:
     """Return how often each thing that takes time is done.
 
     start: once. texel_layer: a texel in four bands. sample_layer: a sample of a picture in four bands. texel_step: a
@@ -93,18 +109,18 @@ def features(
     """
     layers = layer_count(len(choices.bands_nm) - 1)
     texels = sum(s.atlas_texels**2 for s in choices.surfaces.values() if s.glows)
-    pixels = size[0] * size[1]
+    pixels = work.size[0] * work.size[1]
     traced = 0
     if choices.gi["method"] == "reference":
-        traced = pictures(scene, moments) * -(-(len(choices.bands_nm) - 1) // 3)
-    drawn = len(moments) if choices.gi["method"] == NONE else pictures(scene, moments)
+        traced = work.drawn * -(-(len(choices.bands_nm) - 1) // 3)
+    drawn = work.times if choices.gi["method"] == NONE else work.drawn
     return {
         "start": 1.0,
         "texel_layer": float(texels * layers),
-        "sample_layer": float(pixels * scene.supersampling**2 * layers * drawn),
-        "texel_step": float(texels * steps),
+        "sample_layer": float(pixels * work.supersampling**2 * layers * drawn),
+        "texel_step": float(texels * work.steps),
         "path_picture": float(traced),
-        "path": float(traced * pixels * choices.gi.get("samples", 256)),
+        "path": float(traced * pixels * choices.gi.get("samples", TransportParameters.samples)),
     }
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from phoslab.colorimetry import xyz_matrix
 from phoslab.material import Material
 from phoslab.model_plan import Choices
-from phoslab.render.planning.pilot import Pilot
+from phoslab.render.planning.pilot import Pilot, Sampled
 
 
 def notes(pilot: Pilot, choices: Choices) -> tuple[str, ...]:
@@ -15,31 +17,61 @@ def notes(pilot: Pilot, choices: Choices) -> tuple[str, ...]:
 
 
 def _materials(pilot: Pilot, choices: Choices) -> list[str]:
-    """Say how well each material that glows is known."""
-    said = []
+    """Say how well each material that glows is known, at the moment at which that is worst."""
+    said, unknown = [], []
     for k, sampled in pilot.sampled.items():
         if not choices.surfaces[pilot.scene.drawables[k].name].glows:
             continue
         material = sampled.phosphor.material
-        known = emission_error(material)
-        said.append(
-            f"{material.name!r} comes without standard errors: nobody knows how well it is known"
-            if known is None
-            else f"{material.name!r} itself is known to {known:.1%} (one standard error of its emission); "
-            "no model of it is better"
-        )
+        known = [e for t in range(len(pilot.moments)) if (e := glow_error(pilot, sampled, t)) is not None]
+        if known:
+            said.append(
+                f"the glow of {material.name!r} itself is known to {max(known):.1%} (one standard error); no model of "
+                "it is better"
+            )
+        else:
+            unknown.append(repr(material.name))
+    if unknown:
+        names = ", ".join(dict.fromkeys(unknown))
+        said.append(f"no standard errors come with {names}: nobody knows how well they are known")
     return said
 
 
-def emission_error(material: Material) -> float | None:
-    """Return the standard error of a material's emission over itself, over all states and bands; None: not stated."""
-    stated = (material.standard_error or {}).get("emission")
-    if stated is None:
+def glow_error(pilot: Pilot, sampled: Sampled, t: int) -> float | None:
+    """Return the relative standard error of a surface's luminance at the moment of number `t`; None: not stated.
+
+    Two errors, independent of each other: of the emission of each state, unless it is known only as a product with how
+    it charges; and of the rates at which it has faded since the lamps went off, from their covariance.
+    """
+    material = sampled.phosphor.material
+    stated = material.standard_error or {}
+    errors = np.asarray(stated.get("emission", ()), dtype=np.float64)
+    if errors.shape != material.emission.shape:
         return None
-    errors = np.asarray(stated, dtype=np.float64)
-    if errors.shape != material.emission.shape or not material.emission.any():
+    Y = xyz_matrix(material.bands)[:, 1]
+    given = material.emission @ Y
+    light = material.kr_per_s * given * sampled.r[t].mean(axis=0)
+    if light.sum() <= 0:
         return None
-    return float(np.sqrt(np.nansum(errors**2)) / np.sqrt((material.emission**2).sum()))
+    share = light / light.sum()
+    emission = np.sqrt(np.nansum((errors * Y) ** 2, axis=1)) / np.maximum(given, 1e-300)
+    products = material.provenance.get("product_only")
+    if isinstance(products, list):
+        emission[[i for i in range(len(emission)) if i in products]] = 0.0
+    dark_s = pilot.scene.schedule.dark_for_s(float(pilot.moments[t])) or 0.0
+    faded = share * material.kr_per_s * dark_s
+    return float(np.sqrt(((share * emission) ** 2).sum() + faded @ _log_rates(material) @ faded))
+
+
+def _log_rates(material: Material) -> NDArray[np.float64]:
+    """Return (n_c, n_c) the covariance of the logarithms of a material's rates; 0 if it is not stated."""
+    n = len(material.kr_per_s)
+    stated = material.covariance or {}
+    names = [f"log kr_per_s[{i}]" for i in range(n)]
+    if not set(names) <= set(stated.get("parameters", ())):
+        return np.zeros((n, n))
+    at = [stated["parameters"].index(name) for name in names]
+    return np.asarray(stated["matrix"], dtype=np.float64)[np.ix_(at, at)]
 
 
 def _beyond(pilot: Pilot) -> list[str]:
@@ -58,9 +90,13 @@ def _beyond(pilot: Pilot) -> list[str]:
 def _other_light(pilot: Pilot) -> list[str]:
     """Say what no plan models, nor the picture that its bound is held against: `render` has options for it."""
     said = []
+    lamp, glow, bounces = pilot.means()
+    twice = float((pilot.lamp_twice / np.maximum(lamp + glow + bounces.sum(axis=0), 1e-300)).max())
     if pilot.scene.lights:
+        seen = f"; its second reflection would add {twice:.1%} to the light that is seen" if twice > 0 else ""
         said = [
             "lamp light that walls reflect, and charge others with, is in no plan (render --lamp-bounces has it)"
+            + seen
         ]
     share = _recharging(pilot)
     if share is not None and share > 1e-3:

@@ -44,6 +44,7 @@ class Sampled:
     Args:
         drive: what charges them.
         kr, ke_width, emission: (n, n_c), (n, n_c, K), (n, n_c, K), as `Optics`.
+        r: (T, n, n_c) their concentrations.
         glow: (T, n, 3) their XYZ.
     """
 
@@ -52,6 +53,7 @@ class Sampled:
     kr: Array
     ke_width: Array
     emission: Array
+    r: Array
     glow: Array
 
 
@@ -63,6 +65,7 @@ class Pilot:
         moments: (T,) in s, ascending.
         shape: (h, w) of the small picture.
         lamp: (T, P, K) lamp light, reflected once.
+        lamp_twice: (T,) mean X + Y + Z of lamp light that is reflected twice, which no plan models.
         glow: (T, P, K) glow that comes straight.
         bounces: (n, T, P, K) glow after 1 to n reflections.
         by_source: (n + 1, T, D) mean X + Y + Z that each drawable's glow brings, straight and by n reflections.
@@ -76,6 +79,7 @@ class Pilot:
     moments: Array
     shape: tuple[int, int]
     lamp: Array
+    lamp_twice: Array
     glow: Array
     bounces: Array
     by_source: Array
@@ -133,11 +137,12 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
     lamp = np.zeros((len(at), n_pixels, K))
     lamp[:, pixel] = _lamp_light(scene, triangles, seen, at)
 
+    to_xyz = xyz_matrix(scene.transport)
+    lamp_twice = _lamp_twice(scene, triangles, seen, at, rng) @ to_xyz
     arrivals = _walk(scene, triangles, seen, pixel, rng)
     by_order = np.zeros((REFLECTIONS + 1, len(at), n_pixels, K))
     by_source = np.zeros((REFLECTIONS + 1, len(at), D))
     sampled = {}
-    to_xyz = xyz_matrix(scene.transport)
     for k, drawable in enumerate(scene.drawables):
         own = np.flatnonzero(arrivals.points.drawable == k)
         if drawable.phosphor is None or not own.size:
@@ -158,6 +163,7 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
         moments=at,
         shape=shape,
         lamp=lamp,
+        lamp_twice=lamp_twice.sum(axis=(1, 2)) / n_pixels,
         glow=by_order[0],
         bounces=by_order[1:],
         by_source=by_source,
@@ -175,6 +181,18 @@ def _lamp_light(scene: Scene, triangles: Triangles, seen: Points, at: Array) -> 
     E = np.einsum("tl,nl,lk->tnk", on.reshape(len(at), -1), factors, spectra)
     reflected: Array = reflectance_at(scene, seen) * E / np.pi
     return reflected
+
+
+def _lamp_twice(
+    scene: Scene, triangles: Triangles, seen: Points, at: Array, rng: np.random.Generator
+) -> Array:
+    """Return (T, n, K) what points reflect of the lamp light that other surfaces reflect, of one ray from each."""
+    light = np.zeros((len(at), len(seen.place), scene.transport.n))
+    if any(factor > 0 for t in at for factor in scene.schedule.factors(float(t)).values()):
+        origin = seen.place + seen.towards * LIFT * triangles.size_m
+        there, which = meet(triangles, origin, cosine_directions(seen.towards, rng))
+        light[:, which] = _lamp_light(scene, triangles, there, at)
+    return light * reflectance_at(scene, seen)
 
 
 def _walk(
@@ -220,7 +238,7 @@ def _glow(
     kr, ke, emission = (looked_up(f, points.uv) for f in (optics.kr_per_s, optics.ke_width, optics.emission))
     r = charged(scene.schedule, phosphor.initial, drive, kr, per_light(ke, scene), at)
     L: Array = np.einsum("tnc,nc,nck->tnk", r, kr, emission)
-    return Sampled(phosphor, drive, kr, ke, emission, L @ xyz_matrix(scene.transport)), L
+    return Sampled(phosphor, drive, kr, ke, emission, r, L @ xyz_matrix(scene.transport)), L
 
 
 def _sides(

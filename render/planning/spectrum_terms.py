@@ -83,15 +83,22 @@ def _largest(exact: Array, merged: Array) -> float:
     return float((np.abs(merged - exact).sum(axis=-1)[seen] / total[seen]).max())
 
 
-def picture_error(each: Array, pilot: Pilot) -> float:
-    """Return the bound on a picture's relative error, of `errors` and the shares of light; the worst of the moments."""
+def picture_error(each: Array, pilot: Pilot, of_the_whole: bool = True) -> float:
+    """Return the bound on a picture's relative error, of `errors` and the shares of light; the worst of the moments.
+
+    Args:
+        of_the_whole: whether the mean over all light counts; else that of the pixel that is worst.
+    """
     lamp, glow, bounces = pilot.means()
+    if not of_the_whole:
+        there = [part.any() for part in (lamp, glow, bounces[:1], bounces[1:])]
+        return float(each[there].max(initial=0.0))
     total = lamp + glow + bounces.sum(axis=0)
     mixed = lamp * each[0] + glow * each[1] + bounces[0] * each[2] + bounces[1:].sum(axis=0) * each[3]
     return float(np.divide(mixed, total, out=np.zeros_like(total), where=total > 0).max(initial=0.0))
 
 
-def fewest_bands(scene: Scene, pilot: Pilot) -> dict[int, tuple[Bands, float]]:
+def fewest_bands(scene: Scene, pilot: Pilot, of_the_whole: bool = True) -> dict[int, tuple[Bands, float]]:
     """Return, by the number of bands, the best found and the error: two adjoining ones are merged at a time."""
     sources = Sources.of(scene, pilot)
     found = {scene.transport.n: (scene.transport, 0.0)}
@@ -101,7 +108,8 @@ def fewest_bands(scene: Scene, pilot: Pilot) -> dict[int, tuple[Bands, float]]:
         for k in range(1, edges.size - 1):
             bands = Bands(np.delete(edges, k))
             if _charges_alike(scene, bands):
-                tries.append((picture_error(errors(sources, scene.transport, bands), pilot), k))
+                off = errors(sources, scene.transport, bands)
+                tries.append((picture_error(off, pilot, of_the_whole), k))
         if not tries:
             break
         error, k = min(tries)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -84,6 +85,58 @@ def test_a_bound_that_no_plan_reaches_names_the_obstacle_and_the_best_that_can_b
     said = refused(capsys, "plan", str(fading), "--max-error", "0.000001%", *SMALL)
     assert "%" in said
     assert "gi" in said or "texels" in said or "state format" in said
+
+
+@pytest.mark.parametrize(
+    ("edit", "field"),
+    [
+        (lambda c: c["surfaces"].pop(next(iter(c["surfaces"]))), "surfaces"),
+        (lambda c: next(iter(c["surfaces"].values())).update(states=[[3]]), "states"),
+        (lambda c: next(iter(c["surfaces"].values())).update(states=[[0], [0]]), "states"),
+        (lambda c: c["bands_nm"].__setitem__(0, 123.0), "bands_nm"),
+        (lambda c: c.update(solver="leapfrog"), "leapfrog"),
+        (lambda c: c.update(state_format="f8"), "f8"),
+        (lambda c: c.update(gi={"method": "radiosity"}), "radiosity"),
+        (lambda c: c.update(gi={"method": "tiles", "bounces": 1000}), "bounces"),
+        (lambda c: c.update(gi={"method": "tiles", "colour": "red"}), "colour"),
+    ],
+)
+def test_an_edited_plan_that_does_not_fit_the_scene_says_what_does_not(
+    plan, fading, tmp_path, capsys, edit, field
+):
+    data = json.loads(plan.read_text())
+    edit(data["choices"])
+    edited = tmp_path / "edited.json"
+    edited.write_text(json.dumps(data))
+    assert field in refused(capsys, "plan", str(fading), "--plan", str(edited))
+    assert field in refused(
+        capsys, "render", str(fading), "--plan", str(edited), "-o", str(tmp_path / "x.png")
+    )
+    assert not (tmp_path / "x.png").exists()
+
+
+def test_a_time_beyond_what_the_material_s_data_support_is_noted(fading, tmp_path, capsys):
+    import shutil
+
+    scene = tmp_path / "scene"
+    shutil.copytree(fading, scene)
+    for file in scene.glob("*.json"):
+        material = json.loads(file.read_text())
+        if material.get("schema", "").startswith("phoslab-material"):
+            file.write_text(json.dumps({**material, "valid_s": [0.0, 2.0]}))
+    arguments = ["plan", str(scene), "--max-error", "60%", "--size", "16x12"]
+    assert main([*arguments, "--at", "off+1s"]) == 0
+    assert "beyond" not in capsys.readouterr().out
+    assert main([*arguments, "--at", "off+30s"]) == 0
+    assert "30 s after the light is beyond the 2 s that the data of" in capsys.readouterr().out
+
+
+def test_how_well_a_measured_material_is_known_is_said_beside_the_bound(fading, capsys):
+    """Its fit had three states under a weak lamp: each emission alone is unknown, the glow that was measured is not."""
+    assert main(["plan", str(fading), "--max-error", "60%", "--at", "off+60s", "--size", "16x12"]) == 0
+    said = re.search(r"the glow of 'green' itself is known to ([\d.]+)%", capsys.readouterr().out)
+    assert said is not None
+    assert 0.1 < float(said[1]) < 5
 
 
 def test_what_a_plan_decides_cannot_be_given_beside_it(plan, fading, tmp_path, capsys):

@@ -15,7 +15,7 @@ from phoslab.render.planning import make_plan, render_choices
 from phoslab.render.planning.bounds import parse_bound
 
 SIZE = (32, 32)
-FULL = {"method": "reference", "samples": 2048, "full": True}
+FULL = {"method": "reference", "samples": 529, "full": True, "seed": 1}
 
 
 @pytest.mark.parametrize("seed", [5003, 5009])
@@ -36,8 +36,8 @@ def test_the_true_error_of_a_plan_stays_within_its_bound(
         return render_choices(scene, choices, [time], SIZE)[0].xyz
 
     truth = picture(replace(everything, gi=FULL))
-    half = picture(replace(everything, gi={**FULL, "samples": 512}))
-    # A quarter of the paths has twice the noise: their difference is sqrt(5) of the truth's own.
+    half = picture(replace(everything, gi={**FULL, "samples": 132, "seed": 2}))
+    # A quarter of the paths has twice the noise, or more: their difference is sqrt(5) of the truth's own.
     assert bound.error(half, truth) / np.sqrt(5) < bound.value / 5
     assert plan.predicted_error <= bound.value
     assert bound.error(picture(plan.choices), truth) <= bound.value

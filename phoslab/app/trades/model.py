@@ -7,6 +7,7 @@ in what it does model, how long each part takes) is what `phoslab plan` reads.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +28,7 @@ from phoslab.render.glow_methods import METHODS
 from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.planning import render_choices
 from phoslab.render.planning.bounds import radiance_error
-from phoslab.render.planning.costs import FEATURES, features
+from phoslab.render.planning.costs import FEATURES, Work, features
 from phoslab.render.planning.pilot import Pilot, look
 from phoslab.render.planning.reduced import whole
 from phoslab.render.planning.spectrum_terms import fewest_bands
@@ -40,8 +41,10 @@ Progress = Callable[[int, int], None]
 SCENES = ("cornell", "occluder", "corridor")
 SIDE, QUICK_SIDE = 64, 32
 TRUTH_SAMPLES, QUICK_TRUTH_SAMPLES = 512, 64
-DIRECTIONS = (4, 8, 16, 32, 64)
 SAMPLES = (8, 32, 128)
+
+# Directions and reflections that a way is measured with, where it knows either; else with its defaults.
+SETTINGS = {"tiles": ((4, 8, 16, 64), (1, 3)), "dss-z": ((4, 16), (1,))}
 REFERENCE = "reference"
 
 
@@ -118,24 +121,31 @@ def _one_scene(
     ]
     known: dict[str, Any] = {"gi": [], "noise": [], "texels": []}
 
-    reflected_once = float((once.picture - bare.picture).mean())
+    traced = {1: once.picture}
     for method, parameters in _ways(quick):
-        run = _run(device, case, _with_gi(plain, method=method, **parameters))
+        n = parameters.get("bounces", 1)
+        if n not in traced:
+            traced[n] = _run(
+                device, case, _with_gi(plain, method=REFERENCE, samples=samples, bounces=n)
+            ).picture
+        choices = _with_gi(plain, method=method, **parameters)
+        run = _run(device, case, choices)
         runs.append(run)
         points.append(_point(run, truth, "gi", _said(method, parameters)))
-        off = float(np.abs(run.picture - once.picture).mean())
-        error = off / reflected_once if reflected_once > 0 else 0.0
+        reflected_so = float((traced[n] - bare.picture).mean())
+        off = float(np.abs(run.picture - traced[n]).mean())
         known["gi"].append(
             {
                 "method": method,
                 "parameters": parameters,
-                "error": error,
-                "s_per_pixel": max(run.seconds - bare.seconds, 0.0) / (case.size[0] * case.size[1]),
+                "error": off / reflected_so if reflected_so > 0 else 0.0,
+                **_parts_s(device, case, choices, plain),
             }
         )
     reflected = float((truth.picture - bare.picture).mean())
     for n in SAMPLES[: 2 if quick else None]:
-        run = _run(device, case, _with_gi(plain, method=REFERENCE, samples=n, full=True))
+        # Of another seed than the truth, so that nothing cancels.
+        run = _run(device, case, _with_gi(plain, method=REFERENCE, samples=n, full=True, seed=1))
         runs.append(run)
         points.append(_point(run, truth, "gi", f"reference, {n} samples"))
         if reflected > 0:
@@ -152,13 +162,27 @@ def _one_scene(
     return runs, points, known
 
 
+def _parts_s(device: Device, case: Case, choices: Choices, plain: Choices) -> dict[str, float]:
+    """Return what glow's way adds to a picture's time: once, and for each pixel, of pictures of two sizes."""
+    w, h = case.size
+    sizes = ((w, h), (2 * w, 2 * h))
+    small, large = (
+        _run(device, replace(case, size=size), choices).seconds
+        - _run(device, replace(case, size=size), plain).seconds
+        for size in sizes
+    )
+    s_per_pixel = max((large - small) / (3 * w * h), 0.0)
+    return {"once_s": max(small - s_per_pixel * w * h, 0.0), "s_per_pixel": s_per_pixel}
+
+
 def _ways(quick: bool) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield every way but the path tracer, those with directions at several numbers of them."""
+    """Yield every way but the path tracer, at several numbers of directions and reflections if it knows more."""
     for method in METHODS:
         if method == REFERENCE:
             continue
-        for n in DIRECTIONS[: 2 if quick else None]:
-            yield method, {"directions": n}
+        directions, bounces = SETTINGS.get(method, ((TransportParameters.directions,), (1,)))
+        for n, reflections in itertools.product(directions[: 2 if quick else None], bounces):
+            yield method, {"directions": n, "bounces": reflections}
 
 
 def _reductions(case: Case, plain: Choices) -> Iterator[tuple[str, str, Choices]]:
@@ -222,7 +246,7 @@ def _conclusions(runs: Sequence[Run], learnt: Sequence[dict[str, Any]]) -> dict[
         for way in known["gi"]:
             key = _said(way["method"], way["parameters"])
             worst = gi.setdefault(key, dict(way))
-            for field in ("error", "s_per_pixel"):
+            for field in ("error", "once_s", "s_per_pixel"):
                 worst[field] = max(worst[field], way[field])
     texels = [(x, e) for known in learnt for x, e in known["texels"] if e > 1e-6 and x > 0]
     error, power = _power_law(texels)
@@ -250,8 +274,8 @@ def _fit_costs(runs: Sequence[Run]) -> dict[str, float]:
     rows, seconds = [], []
     for run in runs:
         if run.choices.gi["method"] in (NONE, REFERENCE):
-            scene = run.case.scene
-            count = features(scene, run.choices, run.case.size, [scene.schedule.parse_time(run.case.time)], 2)
+            # One moment of darkness: light came on, and went off.
+            count = features(run.choices, Work(run.case.size, run.case.scene.supersampling, 1, 1, 2))
             rows.append([count[name] for name in FEATURES])
             seconds.append(run.seconds)
     A, b = np.array(rows), np.array(seconds)

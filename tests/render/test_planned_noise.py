@@ -1,0 +1,50 @@
+"""The probe of the path tracer's noise, held against pictures of the size that is planned for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phoslab.render import load_scene
+from phoslab.render.planning import render_choices
+from phoslab.render.planning.pilot import look
+from phoslab.render.planning.probe import PATHS, PathNoise, measure_noise
+from phoslab.render.planning.reduced import whole
+
+SIZE = (64, 64)
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory, planned_scenes):
+    scene = planned_scenes.draw(tmp_path_factory.mktemp("drawn"), 6113)
+    return load_scene(scene.folder), scene.time
+
+
+@pytest.mark.parametrize("samples", [4, 64])
+def test_a_picture_is_as_noisy_as_the_probe_says(drawn, device, samples):
+    """A tenth more is what the mean over 576 pixels leaves open. A third less: the probe's pixels are larger and see
+    more edges, and many paths are taken to gain by their number alone; so it was in eight scenes with up to 400."""
+    pytest.importorskip("mitsuba")
+    scene, time = drawn
+    pilot = look(scene, [scene.schedule.parse_time(time)], SIZE)
+    everything = whole(scene)
+    noise = measure_noise(pilot, everything, device=device)
+    assert noise is not None
+
+    def picture(**gi: object) -> np.ndarray:
+        return render_choices(scene, replace(everything, gi=gi), [time], SIZE, device=device)[0].xyz
+
+    bare = picture(method="none")
+    one, other = (picture(method="reference", samples=samples, full=True, seed=s) for s in (1, 2))
+    reflected = float(((one + other) / 2 - bare).mean())
+    seen = float(np.abs(one - other).mean() / np.sqrt(2)) / reflected
+    assert 0.6 * noise.of(samples) < seen < 1.1 * noise.of(samples)
+
+
+def test_noise_falls_with_the_root_of_many_paths_and_faster_with_few():
+    noise = PathNoise(0.1)
+    assert noise.of(PATHS) == pytest.approx(0.1)
+    assert noise.of(4 * PATHS) == pytest.approx(0.05)
+    assert noise.of(PATHS // 4) > 0.2
