@@ -303,5 +303,5 @@ def check_list(longest: int) -> None:
         raise PhoslabError(
             f"would hold its rays against {longest} cells, and no more than {LONGEST_LIST} are",
             field="a tile of the picture",
-            remedy="Give a larger --cell or --detail, or --gi reference.",
+            remedy="Give a larger --cell or --detail or, where that many pieces stand apart, --gi dss-z or reference.",
         )

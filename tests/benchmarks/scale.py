@@ -110,7 +110,7 @@ def draw(path: Path, way: str, out: Path, surfel: float) -> None:
     try:
         frames = render(path, ["0"], size=SIZE, supersampling=1, transport=transport)
     except PhoslabError as error:
-        print(f"{path.name:10} {way:10} is refused: {error} {error.remedy}", flush=True)
+        print(f"{path.name:10} {way:10} is refused: {error}", flush=True)
         return
     seconds = time.perf_counter() - start
     used = resource.getrusage(resource.RUSAGE_SELF)
