@@ -36,17 +36,18 @@ NM = np.arange(400.0, 701.0, 5.0)
 BELIEF = 0.004
 """How well a calibration describes another measurement, as a share of the signal: repeated settings, moved lights."""
 
-TOGETHER_NM = 5.0
-"""Over so much the errors of a transmission curve go together: two of its nodes."""
-
 UNEVEN, EVEN = 0.03, 0.01
 """How far a spectrum may be wrong over long stretches, as a share of it: lights hang elsewhere than the one of the
 calibration did. The second where a frame without the strip has told how evenly the scene is lit."""
 
 _STRETCH_NM = 50.0
 
-BENDS_NM = 12.0
-"""Over so much what smoothing does to a spectrum goes together: half the width of what the strip passes."""
+BENDS_NM, STRAIGHT = 12.0, 0.1
+"""Over so much bends are alike, half the width of what the strip passes; and how much of the strongest is expected
+where nothing bends."""
+
+_ADAPTED = 2
+"""How often bends and the curves' share of the noise are taken from the spectrum before."""
 
 _SHIFT_PX = 1.0
 """Standard deviation of a strip's place along itself, before the colours are looked at."""
@@ -223,44 +224,14 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
     """
     assert calibration.curves is not None
     even = np.ones(light.signal.shape[0]) if evenness is None else evenness
-    signal, sigma = light.signal / even[:, None], light.sigma / even[:, None]
-    curve = calibration.curves.curve
-    hats = np.maximum(0.0, 1 - np.abs(GRID_NM[:, None] - NM) / (NM[1] - NM[0]))
-    hats[:, 0] = np.where(GRID_NM < NM[0], 1.0, hats[:, 0])  # what lies beyond the ends is as at them
-    hats[:, -1] = np.where(GRID_NM > NM[-1], 1.0, hats[:, -1])
-    seen = calibration.sensitivities.at(GRID_NM)
-    step = GRID_NM[1] - GRID_NM[0]
-    A = np.einsum("kn,nc,nj->kcj", np.nan_to_num(curve), seen, hats) * step
-
-    from_curves = np.zeros((curve.shape[0], 3))
-
-    def equations(shift_px: float) -> tuple[Normal, Array, Array]:
-        weights = calibration.reading(shift_px)
-        there = np.asarray(np.isfinite(weights).all(axis=1) & np.isfinite(curve).all(axis=1))
-        y, noise = (np.asarray(v)[:, 0] for v in positions([signal], [sigma], np.nan_to_num(weights)))
-        noise = np.where(there[:, None], noise, np.inf)
-        if np.isfinite(noise).any(axis=1).sum() < 3:
-            raise PhoslabError(
-                "shows fewer than three positions that are calibrated and not saturated",
-                file="the session",
-                field="the strip",
-                remedy="Expose it shorter, and calibrate with the strip where it is now.",
-            )
-        belief = np.hypot(BELIEF * y, calibration.curves.misfit * y.max(axis=1, keepdims=True))  # type: ignore[union-attr]
-        total = np.sqrt(noise**2 + belief**2 + from_curves**2)
-        return Normal.of(A.reshape(-1, NM.size), y.ravel(), total.ravel()), y, total
-
-    d = second_differences(NM.size)
-    penalty = d.T @ d
-    first = solve(equations(0.0)[0], penalty)
-    # What the curves' own errors make of that spectrum; they go together over some nanometres, not over a band.
-    errors = np.nan_to_num(calibration.curves.standard_error)
-    from_curves = np.sqrt((errors**2) @ (seen * (hats @ first.x)[:, None]) ** 2 * step * TOGETHER_NM)
-    shift = _shift(equations, penalty, first)
-    normal, y, total = equations(shift)
-    solution = solve(normal, penalty)
+    equations = _Equations(calibration, light.signal / even[:, None], light.sigma / even[:, None])
+    solution = equations.solve(0.0)
+    shift, shift_error = equations.shift(solution)
+    for _ in range(_ADAPTED):
+        equations.adapt(solution)
+        solution = equations.solve(shift)
     top = float(solution.x.max())
-    if not top > 3 * float(np.sqrt(solution.covariance[np.argmax(solution.x), np.argmax(solution.x)])):
+    if not (solution.x > 3 * solution.standard_error).any():
         raise PhoslabError(
             "shows no light along the strip that stands out from its noise",
             file="the session",
@@ -269,7 +240,7 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
     value = solution.x / top
     together = np.exp(-0.5 * ((NM[:, None] - NM) / _STRETCH_NM) ** 2)
     long = (UNEVEN if evenness is None else EVEN) ** 2 * np.outer(value, value) * together
-    covariance = solution.covariance / top**2 + long + _smoothed_away(solution.pull / top)
+    covariance = solution.covariance / top**2 + long
     return Spectrum(
         nm=NM,
         value=value,
@@ -279,41 +250,106 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
         shift_px=shift,
         scaled_misfit=solution.scale,
         at_end=solution.at_end,
-        measured=np.where(np.isfinite(total), y, np.nan),
-        predicted=A @ solution.x,
+        measured=equations.measured(shift),
+        predicted=equations.response @ solution.x,
     )
 
 
-def _shift(
-    equations: Callable[[float], tuple[Normal, Array, Array]], penalty: Array, first: Solution
-) -> float:
-    """The shift at which the three colours agree best, as far as they say anything: a parabola through five."""
-    tried = np.linspace(-2.0, 2.0, 9)
-    strength = first.strength
+class _Equations:
+    """The equations of light along a strip that may have moved along itself; what is known of the light sharpens them.
 
-    def badness(shift: float) -> float:
-        normal = equations(shift)[0]
-        M = normal.matrix + strength * penalty
-        x = np.asarray(np.linalg.solve(M, normal.right), float)
-        total = normal.misfit(x) + strength * float(x @ penalty @ x)
-        return total / max(1.0, first.scale) + (shift / _SHIFT_PX) ** 2
-
-    scores = np.array([badness(s) for s in tried])
-    k = int(np.clip(np.argmin(scores), 1, tried.size - 2))
-    a, b, c = scores[k - 1 : k + 2]
-    bend = a - 2 * b + c
-    step = tried[1] - tried[0]
-    return float(np.clip(tried[k] + (0.5 * step * (a - c) / bend if bend > 0 else 0.0), -2.5, 2.5))
-
-
-def _smoothed_away(pull: Array) -> Array:
-    """(n, n) covariance of what smoothing has taken from a spectrum.
-
-    Its size is the root mean square of the pull nearby: where the pull changes sign it is 0, and the error is not.
+    Args:
+        signal, sigma: (n, 3) at the strip's nodes, as if the scene were lit evenly.
     """
-    near = np.exp(-0.5 * ((NM[:, None] - NM) / BENDS_NM) ** 2)
-    size = np.sqrt(near @ pull**2 / near.sum(axis=1))
-    return np.asarray(size[:, None] * near * size)
+
+    def __init__(self, calibration: Calibration, signal: Array, sigma: Array) -> None:
+        assert calibration.curves is not None
+        self.calibration, self.curves = calibration, calibration.curves
+        self.signal, self.sigma = signal, sigma
+        self.hats = np.maximum(0.0, 1 - np.abs(GRID_NM[:, None] - NM) / (NM[1] - NM[0]))
+        self.hats[:, 0] = np.where(GRID_NM < NM[0], 1.0, self.hats[:, 0])  # beyond the ends it is as at them
+        self.hats[:, -1] = np.where(GRID_NM > NM[-1], 1.0, self.hats[:, -1])
+        self.seen = calibration.sensitivities.at(GRID_NM)
+        curve = np.nan_to_num(self.curves.curve)
+        step = GRID_NM[1] - GRID_NM[0]
+        self.response = np.einsum("kn,nc,nj->kcj", curve, self.seen, self.hats) * step
+        self.bends = second_differences(NM.size)
+        self.penalty = self.bends.T @ self.bends
+        self.from_curves: Array | None = None
+
+    def read(self, shift_px: float) -> tuple[Array, Array]:
+        """(n_k, 3) the signals at the positions, and their noise, infinite where nothing is seen.
+
+        Raises:
+            PhoslabError: fewer than three positions are seen.
+        """
+        weights = self.calibration.reading(shift_px)
+        there = np.isfinite(weights).all(axis=1) & np.isfinite(self.curves.curve).all(axis=1)
+        y, noise = (
+            np.asarray(v)[:, 0] for v in positions([self.signal], [self.sigma], np.nan_to_num(weights))
+        )
+        noise = np.where(there[:, None], noise, np.inf)
+        if np.isfinite(noise).any(axis=1).sum() < 3:
+            raise PhoslabError(
+                "shows fewer than three positions that are calibrated and not saturated",
+                file="the session",
+                field="the strip",
+                remedy="Expose it shorter, and calibrate with the strip where it is now.",
+            )
+        return y, noise
+
+    def measured(self, shift_px: float) -> Array:
+        """(n_k, 3) the signals at the positions; NaN where nothing is seen."""
+        y, noise = self.read(shift_px)
+        return np.where(np.isfinite(noise), y, np.nan)
+
+    def normal(self, shift_px: float) -> Normal:
+        """The equations, weighted."""
+        y, noise = self.read(shift_px)
+        variance = noise**2 + (BELIEF * y) ** 2
+        between = self.from_curves
+        if between is None:  # no spectrum is known yet to see the curves' errors by
+            variance = variance + (self.curves.misfit * y.max(axis=1, keepdims=True)) ** 2
+            between = np.zeros((*y.shape, 3))
+        return Normal.correlated(self.response, y, between + variance[:, :, None] * np.eye(3))
+
+    def solve(self, shift_px: float) -> Solution:
+        return solve(self.normal(shift_px), self.penalty)
+
+    def adapt(self, solution: Solution) -> None:
+        """Expect the spectrum to bend where it was found to, and the errors that the curves make of it.
+
+        As penalties that vary over a curve are found from a first fit (Ruppert and Carroll 2000,
+        doi 10.1111/1467-842X.00119).
+        """
+        at = NM[1:-1]
+        near = np.exp(-0.5 * ((at[:, None] - at) / BENDS_NM) ** 2)
+        bend = near @ (self.bends @ solution.x) ** 2 / near.sum(axis=1)
+        weight = 1 / (bend / max(float(bend.max()), 1e-300) + STRAIGHT**2)
+        self.penalty = self.bends.T @ (weight[:, None] * self.bends)
+        light = self.seen * (self.hats @ solution.x)[:, None]
+        self.from_curves = self.curves.signal_covariance(POSITIONS_NM, light)
+
+    def shift(self, first: Solution) -> tuple[float, float]:
+        """The shift at which the three colours agree best, as far as they say anything: a parabola through three.
+
+        Returns:
+            It and its standard error, in pixels.
+        """
+        tried = np.linspace(-2.0, 2.0, 9)
+
+        def badness(shift: float) -> float:
+            normal = self.normal(shift)
+            x = np.linalg.solve(normal.matrix + first.strength * self.penalty, normal.right)
+            total = normal.misfit(x) + first.strength * float(x @ self.penalty @ x)
+            return total / max(1.0, first.scale) + (shift / _SHIFT_PX) ** 2
+
+        scores = np.array([badness(s) for s in tried])
+        k = int(np.clip(np.argmin(scores), 1, tried.size - 2))
+        a, b, c = scores[k - 1 : k + 2]
+        step = tried[1] - tried[0]
+        bend = max((a - 2 * b + c) / step**2, 2 / _SHIFT_PX**2)
+        return float(np.clip(tried[k] + 0.5 * (a - c) / step / bend, -2.5, 2.5)), float(np.sqrt(2 / bend))
 
 
 def _evenness(path: Path, calibration: Calibration) -> tuple[Array | None, list[str]]:
