@@ -142,6 +142,7 @@ def fit_curves(
     curve = np.stack([g @ x[k] for k, g in enumerate(on_grid)])
     blocks = [slice(k * size, (k + 1) * size) for k in range(n_k)]
     covariance = np.stack([solution.covariance[at, at] for at in blocks])
+    covariance = (covariance + covariance.swapaxes(1, 2)) / 2
     error = np.empty_like(curve)
     missed = []
     for k, g in enumerate(on_grid):

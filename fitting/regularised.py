@@ -2,12 +2,12 @@
 
     minimise  Σ ((A x - y) / σ)² + μ |D x|²   over x >= 0
 
-The penalty says that D x is normal noise of variance s² / μ. So μ and s² are those under which the data are most likely,
-x itself integrated out (restricted maximum likelihood; Wood 2011, doi 10.1111/j.1467-9868.2010.00749.x); s, by how much
-σ understates the noise, is never below 1. Generalised cross-validation, which does not believe σ, smooths far too little
-where data are few or faint. The band is that of the posterior of which x is the mean, s² (AᵀA + μ DᵀD)⁻¹: over all of a
-curve it covers as often as it says (Wahba 1983), too wide where the curve is smooth and too narrow where it bends most,
-unless D weighs bends by what is expected there.
+The penalty says that D x is normal noise of variance s² / μ. So μ and s² are those under which the data are most
+likely, x itself integrated out (restricted maximum likelihood; Wood 2011, doi 10.1111/j.1467-9868.2010.00749.x); s, by
+how much σ understates the noise, is never below 1. Generalised cross-validation, which does not believe σ, now and then
+hardly smooths at all, and its bands are too narrow where x bends. The band is that of the posterior of which x is the
+mean, s² (AᵀA + μ DᵀD)⁻¹: over all of a curve it covers as often as it says (Wahba 1983) where D weighs bends by what is
+expected there; it is too wide where x is smoother than that.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def solve(
         """-2 log of the likelihood, but for a constant."""
         _, factor, left = weighed(log_strength)
         s2 = max(1.0, left / n_free)
-        return left / s2 + n_free * np.log(s2) + factor.log_determinant - rank * log_strength
+        return left / s2 + n_free * float(np.log(s2)) + factor.log_determinant - rank * log_strength
 
     grid = np.log(np.geomspace(*span, 13))
     k = int(np.argmin([unlikely(g) for g in grid]))

@@ -1,10 +1,7 @@
 """The spectrum of what a calibrated linear variable filter shows: of the lamp, or of a glowing sample.
 
-Each of the positions k is seen in three channels c, y_kc = ∫ T_k(λ) S_c(λ) L(λ) dλ, with T_k and S_c
-known: some 93 equations
-for L at 61 wavelengths, solved without negative values and as smooth as the data say (Nalbach 2017, 8.4.2).
-A hand that has put the strip down anew has moved it along itself by some tenth of a millimetre, that is by some tenths
-of a nanometre. The three channels see one spectrum only if it is read at the right places, which tells by how much.
+`strip_equations.py` tells how it follows from the signals along the strip; here sessions are read for it, and what they
+lack is said (Nalbach 2017, 8.4.2).
 """
 
 from __future__ import annotations
@@ -20,9 +17,8 @@ from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.fitting.card import Shading
 from phoslab.fitting.find_strip import follow_strip
-from phoslab.fitting.lvf import POSITIONS_NM, Calibration, positions, shading
-from phoslab.fitting.lvf_curves import GRID_NM
-from phoslab.fitting.regularised import Normal, Solution, second_differences, solve
+from phoslab.fitting.lvf import Calibration, shading
+from phoslab.fitting.strip_equations import NM, SHIFT_PX, StripEquations
 from phoslab.fitting.strip_light import StripLight, read_light
 from phoslab.raw import preview
 from phoslab.session import Frame, Session
@@ -30,27 +26,14 @@ from phoslab.strip import Strip
 
 Array = NDArray[np.float64]
 
-NM = np.arange(400.0, 701.0, 5.0)
-"""Wavelengths of a spectrum."""
-
-BELIEF = 0.004
-"""How well a calibration describes another measurement, as a share of the signal: repeated settings, moved lights."""
-
 UNEVEN, EVEN = 0.03, 0.01
 """How far a spectrum may be wrong over long stretches, as a share of it: lights hang elsewhere than the one of the
 calibration did. The second where a frame without the strip has told how evenly the scene is lit."""
 
 _STRETCH_NM = 50.0
 
-BENDS_NM, STRAIGHT = 12.0, 0.1
-"""Over so much bends are alike, half the width of what the strip passes; and how much of the strongest is expected
-where nothing bends."""
-
 _ADAPTED = 2
 """How often bends and the curves' share of the noise are taken from the spectrum before."""
-
-_SHIFT_PX = 1.0
-"""Standard deviation of a strip's place along itself, before the colours are looked at."""
 
 _SEEN = 0.02
 """Share of the best-seen wavelength's weight below which a wavelength is hardly seen."""
@@ -193,7 +176,7 @@ def measure_spectrum(
             f"noise explains): "
             "the strip, the camera or the scattered light is not what it was at the calibration."
         )
-    if abs(result.shift_px) > 2 * _SHIFT_PX:
+    if abs(result.shift_px) > 2 * SHIFT_PX:
         warnings.append(
             f"The strip seems to have moved by {result.shift_px:.1f} pixels along itself since the calibration."
         )
@@ -224,9 +207,9 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
     """
     assert calibration.curves is not None
     even = np.ones(light.signal.shape[0]) if evenness is None else evenness
-    equations = _Equations(calibration, light.signal / even[:, None], light.sigma / even[:, None])
+    equations = StripEquations(calibration, light.signal / even[:, None], light.sigma / even[:, None])
     solution = equations.solve(0.0)
-    shift, shift_error = equations.shift(solution)
+    shift = equations.shift(solution)
     for _ in range(_ADAPTED):
         equations.adapt(solution)
         solution = equations.solve(shift)
@@ -253,103 +236,6 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
         measured=equations.measured(shift),
         predicted=equations.response @ solution.x,
     )
-
-
-class _Equations:
-    """The equations of light along a strip that may have moved along itself; what is known of the light sharpens them.
-
-    Args:
-        signal, sigma: (n, 3) at the strip's nodes, as if the scene were lit evenly.
-    """
-
-    def __init__(self, calibration: Calibration, signal: Array, sigma: Array) -> None:
-        assert calibration.curves is not None
-        self.calibration, self.curves = calibration, calibration.curves
-        self.signal, self.sigma = signal, sigma
-        self.hats = np.maximum(0.0, 1 - np.abs(GRID_NM[:, None] - NM) / (NM[1] - NM[0]))
-        self.hats[:, 0] = np.where(GRID_NM < NM[0], 1.0, self.hats[:, 0])  # beyond the ends it is as at them
-        self.hats[:, -1] = np.where(GRID_NM > NM[-1], 1.0, self.hats[:, -1])
-        self.seen = calibration.sensitivities.at(GRID_NM)
-        curve = np.nan_to_num(self.curves.curve)
-        step = GRID_NM[1] - GRID_NM[0]
-        self.response = np.einsum("kn,nc,nj->kcj", curve, self.seen, self.hats) * step
-        self.bends = second_differences(NM.size)
-        self.penalty = self.bends.T @ self.bends
-        self.from_curves: Array | None = None
-
-    def read(self, shift_px: float) -> tuple[Array, Array]:
-        """(n_k, 3) the signals at the positions, and their noise, infinite where nothing is seen.
-
-        Raises:
-            PhoslabError: fewer than three positions are seen.
-        """
-        weights = self.calibration.reading(shift_px)
-        there = np.isfinite(weights).all(axis=1) & np.isfinite(self.curves.curve).all(axis=1)
-        y, noise = (
-            np.asarray(v)[:, 0] for v in positions([self.signal], [self.sigma], np.nan_to_num(weights))
-        )
-        noise = np.where(there[:, None], noise, np.inf)
-        if np.isfinite(noise).any(axis=1).sum() < 3:
-            raise PhoslabError(
-                "shows fewer than three positions that are calibrated and not saturated",
-                file="the session",
-                field="the strip",
-                remedy="Expose it shorter, and calibrate with the strip where it is now.",
-            )
-        return y, noise
-
-    def measured(self, shift_px: float) -> Array:
-        """(n_k, 3) the signals at the positions; NaN where nothing is seen."""
-        y, noise = self.read(shift_px)
-        return np.where(np.isfinite(noise), y, np.nan)
-
-    def normal(self, shift_px: float) -> Normal:
-        """The equations, weighted."""
-        y, noise = self.read(shift_px)
-        variance = noise**2 + (BELIEF * y) ** 2
-        between = self.from_curves
-        if between is None:  # no spectrum is known yet to see the curves' errors by
-            variance = variance + (self.curves.misfit * y.max(axis=1, keepdims=True)) ** 2
-            between = np.zeros((*y.shape, 3))
-        return Normal.correlated(self.response, y, between + variance[:, :, None] * np.eye(3))
-
-    def solve(self, shift_px: float) -> Solution:
-        return solve(self.normal(shift_px), self.penalty)
-
-    def adapt(self, solution: Solution) -> None:
-        """Expect the spectrum to bend where it was found to, and the errors that the curves make of it.
-
-        As penalties that vary over a curve are found from a first fit (Ruppert and Carroll 2000,
-        doi 10.1111/1467-842X.00119).
-        """
-        at = NM[1:-1]
-        near = np.exp(-0.5 * ((at[:, None] - at) / BENDS_NM) ** 2)
-        bend = near @ (self.bends @ solution.x) ** 2 / near.sum(axis=1)
-        weight = 1 / (bend / max(float(bend.max()), 1e-300) + STRAIGHT**2)
-        self.penalty = self.bends.T @ (weight[:, None] * self.bends)
-        light = self.seen * (self.hats @ solution.x)[:, None]
-        self.from_curves = self.curves.signal_covariance(POSITIONS_NM, light)
-
-    def shift(self, first: Solution) -> tuple[float, float]:
-        """The shift at which the three colours agree best, as far as they say anything: a parabola through three.
-
-        Returns:
-            It and its standard error, in pixels.
-        """
-        tried = np.linspace(-2.0, 2.0, 9)
-
-        def badness(shift: float) -> float:
-            normal = self.normal(shift)
-            x = np.linalg.solve(normal.matrix + first.strength * self.penalty, normal.right)
-            total = normal.misfit(x) + first.strength * float(x @ self.penalty @ x)
-            return total / max(1.0, first.scale) + (shift / _SHIFT_PX) ** 2
-
-        scores = np.array([badness(s) for s in tried])
-        k = int(np.clip(np.argmin(scores), 1, tried.size - 2))
-        a, b, c = scores[k - 1 : k + 2]
-        step = tried[1] - tried[0]
-        bend = max((a - 2 * b + c) / step**2, 2 / _SHIFT_PX**2)
-        return float(np.clip(tried[k] + 0.5 * (a - c) / step / bend, -2.5, 2.5)), float(np.sqrt(2 / bend))
 
 
 def _evenness(path: Path, calibration: Calibration) -> tuple[Array | None, list[str]]:
@@ -396,6 +282,3 @@ def _overlap(nm: Array, low: float, high: float) -> Array:
     """(n,) weights of values at `nm`, joined by straight lines, in their mean from `low` to `high`."""
     fine = low + (np.arange(200) + 0.5) * (high - low) / 200
     return np.asarray(np.maximum(0.0, 1 - np.abs(fine[:, None] - nm) / (nm[1] - nm[0])).mean(axis=0))
-
-
-__all__ = ["NM", "POSITIONS_NM", "Spectrum", "measure_spectrum", "reconstruct"]
