@@ -83,7 +83,7 @@ def screen(table: DecayTable) -> Screened:
                 f"{signal[0, c]:.6g}: the meter was at its limit; they are left out."
             )
             sigma[:clipped, c] = np.inf
-        reason = _no_decay(t, signal[:, c], sigma[:, c])
+        reason = no_decay(t, signal[:, c], sigma[:, c])
         if reason:
             lost[name] = reason
             flags.append(f"channel-lost: {name} {reason}.")
@@ -116,8 +116,12 @@ def _plateau(t: Array, values: Array, used: NDArray[np.bool_]) -> int:
     return run if run > 1 and t[run - 1] > t[0] else 0
 
 
-def _no_decay(t: Array, values: Array, sigma: Array) -> str | None:
-    """Return why a column is no decay, or None."""
+def no_decay(t: Array, values: Array, sigma: Array) -> str | None:
+    """Return why values are no decay, or None.
+
+    Args:
+        t, values, sigma: (n,); an infinite sigma is of a value that cannot be used.
+    """
     used = np.isfinite(sigma)
     v, at = values[used], t[used]
     if v.size == 0:
