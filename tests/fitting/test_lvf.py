@@ -271,6 +271,11 @@ def test_the_commands_write_what_they_say(lvf_session, lamp_session, tmp_path, c
     assert "[[Wavelengths]]" in capsys.readouterr().out
     assert main(["spectrum", str(lamp_session), "--lvf", str(lvf), "-o", str(table), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
+    page = str(tmp_path / "lamp.html")
+    arguments = ["spectrum", str(lamp_session), "--lvf", str(lvf), "-o", str(table), "--report", page]
+    assert main(arguments) == 0
+    assert page in capsys.readouterr().out
+    assert f"It is highest at {said['peak_nm']:.0f} nm" in (tmp_path / "lamp.html").read_text()
     rows = np.array([[float(x) for x in r.split(",")] for r in table.read_text().splitlines() if r[0] != "#"])
     assert np.array_equal(rows[:, 0], NM)
     assert rows[:, 1].max() == 1.0
