@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
             result=result,
             plot=_plot(result),
             n_positions=int(np.isfinite(result.measured).any(axis=1).sum()),
-            bands=[(bands.label(j), f"{means[j]:.3f} ± {errors[j]:.3f}") for j in range(bands.n)],
+            bands=[(bands.label(j), f"{means[j]:.4f} ± {errors[j]:.4f}") for j in range(bands.n)],
             calibration=args.lvf.name,
             digest=digest,
         )
