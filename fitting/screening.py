@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting import decay
-from phoslab.fitting.decay import DecayData
+from phoslab.fitting import decay, decay_problem
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.table import DecayTable
 
 Array = NDArray[np.float64]
@@ -160,7 +160,7 @@ def clipped_start(data: DecayData, *, n_states: int) -> tuple[DecayData, tuple[s
         sigma = data.sigma.copy()
         sigma[frame] = np.inf
         without = replace(data, sigma=sigma)
-        if without.n_values <= decay.n_parameters(data, n_states, offset=False, rank_one=False):
+        if without.n_values <= decay_problem.n_parameters(data, n_states, offset=False, rank_one=False):
             break
         with_it = decay.fit_decay(data, n_states, rank_one=False, polish=False)
         free = decay.fit_decay(without, n_states, rank_one=False, polish=False)

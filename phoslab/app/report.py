@@ -194,7 +194,7 @@ def _excitation_figure(found: MeasuredExcitation) -> Figure:
     """The rise of the glow at places under the filter, and the rates by band."""
     from matplotlib.figure import Figure
 
-    from phoslab.fitting.decay import exposed_decay
+    from phoslab.fitting.decay_problem import exposed_decay
 
     fit, data = found.fit, found.series.data
     figure = Figure(figsize=(8, 3.6), layout="constrained")

@@ -7,7 +7,7 @@ import pytest
 
 from phoslab.app import cli
 from phoslab.fitting import assumptions
-from phoslab.fitting.decay import DecayData
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.parts import SessionPart
 from phoslab.fitting.verdict import CHANCE, Misfit, judge
 from phoslab.session import Session

@@ -12,7 +12,8 @@ from scipy.integrate import solve_ivp
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.fitting.charging import LampCourse, Steps, Table
-from phoslab.fitting.decay import DecayData, fit_decay
+from phoslab.fitting.decay import fit_decay
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.excitation import fit_excitation
 from phoslab.fitting.excitation_model import Charge, ExcitationData
 from phoslab.fitting.excitation_report import report
