@@ -47,6 +47,7 @@ class TransportParameters:
         levels: of the hierarchical framebuffer, each of which reaches twice as far; 0: as many as reach across the
             scene (dss, dss-z).
         samples: light paths a pixel (reference).
+        seed: of their chances (reference): pictures of two seeds differ by their noise alone.
         full: follow light to the end, not for one reflection alone (reference).
         bounces: reflections on the way from a phosphor to the camera, at most (tiles, reference).
         lamps: let surfaces light each other with what they reflect of the lamps, too (tiles).
@@ -63,6 +64,7 @@ class TransportParameters:
     epsilon: float = 0.02
     levels: int = 0
     samples: int = 256
+    seed: int = 0
     full: bool = False
     bounces: int = 1
     lamps: bool = False
@@ -72,6 +74,7 @@ class TransportParameters:
         self._check("the number of directions", self.directions, 1, MOST_DIRECTIONS)
         self._check("the share of guided directions", self.guided, 0.0, 1.0)
         self._check("the number of samples", self.samples, 1, 1 << 20)
+        self._check("the seed", self.seed, 0, 1 << 31)
         self._check("the cells' radius", self.cell, 1e-3, 1.0)
         self._check("the cells' detail", self.detail, 1e-2, 1.0)
         self._check("the number of bounces", self.bounces, 1, MOST_BOUNCES)

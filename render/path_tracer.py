@@ -38,6 +38,13 @@ LLVM_FOLDERS = (
 MOST_AT_ONCE = 1 << 23
 UNLIMITED = -1
 
+# After so many reflections a path goes on by chance, and counts for more if it does: half the time of 16, for a tenth
+# more noise.
+SURE_REFLECTIONS = 5
+
+# A mesh that sends little is still aimed at by so much of what the brightest is: near it, it may be all there is.
+LEAST_WEIGHT = 0.02
+
 
 @dataclass(frozen=True, eq=False)
 class TracedMesh:
@@ -71,15 +78,20 @@ def trace(
     samples: int,
     seed: int = 0,
     direct: bool = True,
+    grid: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Texels:
     """Return (h, w, K) the radiance that reaches the camera, top row first: the mean over each pixel.
 
+    The vectorised variant sees a pixel through the middles of its grid x grid parts, as the other passes do, in turn;
+    the other variant through places at random, since it offers no other: edges then differ.
+
     Args:
         size: (width, height) in pixels.
         reflections: the most on a path; `UNLIMITED` follows light to its end.
-        samples: paths a pixel.
+        samples: paths a pixel, stratified over the pixel and over what sends light (multi-jittered, Kensler 2013).
         direct: whether light that comes without a reflection counts.
+        grid: parts along the side of a pixel.
         progress: called with (bands done, bands in all).
 
     Raises:
@@ -101,7 +113,7 @@ def trace(
         if not direct:
             depths.append((-1.0, 1))
         for sign, depth in depths:
-            part = _render(mi, scene, depth, samples, seed, size)
+            part = _render(mi, scene, depth, samples, seed, size, grid)
             n = min(3, n_bands - first)
             picture[..., first : first + n] += np.float32(sign * brightest) * part[..., :n]
         if progress is not None:
@@ -109,16 +121,49 @@ def trace(
     return picture
 
 
-def _render(mi: Any, scene: Any, depth: int, samples: int, seed: int, size: tuple[int, int]) -> Texels:
-    integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": 16})
+def _render(
+    mi: Any, scene: Any, depth: int, samples: int, seed: int, size: tuple[int, int], grid: int
+) -> Texels:
+    integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": SURE_REFLECTIONS})
     at_once = max(1, min(samples, MOST_AT_ONCE // (size[0] * size[1])))
     total = np.zeros((size[1], size[0], 3))
     done = part = 0
     while done < samples:
         n = min(at_once, samples - done)
-        total += n * np.asarray(mi.render(scene, integrator=integrator, spp=n, seed=seed + part))
+        numbered = (seed << 12) + part
+        if mi.variant() == LLVM:
+            mean = _on_grid(mi, scene, integrator, n, numbered, size, grid)
+        else:
+            mean = np.asarray(mi.render(scene, integrator=integrator, spp=n, seed=numbered))
+        total += n * mean
         done, part = done + n, part + 1
     return (total / samples).astype(np.float32)
+
+
+def _on_grid(
+    mi: Any, scene: Any, integrator: Any, samples: int, seed: int, size: tuple[int, int], grid: int
+) -> Array:
+    """Return (h, w, 3) the mean over so many paths a pixel, or a few more, which begin in the middles of its parts."""
+    import drjit as dr
+
+    width, height = size
+    sampler = scene.sensors()[0].sampler().clone()
+    sampler.set_sample_count(samples)
+    samples = sampler.sample_count()
+    sampler.set_samples_per_wavefront(samples)
+    sampler.seed(seed, width * height * samples)
+    index = dr.arange(mi.UInt32, width * height * samples)
+    pixel = index // samples
+    # Each pixel begins at another part, so that fewer paths than parts favour none.
+    part = (index + mi.sample_tea_32(pixel, seed)[0]) % (grid * grid)
+    x = mi.Float(pixel % width) + (mi.Float(part % grid) + 0.5) / grid
+    y = mi.Float(pixel // width) + (mi.Float(part // grid) + 0.5) / grid
+    ray, _ = scene.sensors()[0].sample_ray(0.0, 0.0, mi.Point2f(x / width, y / height), mi.Point2f(0.5))
+    light, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(ray))
+    film = dr.zeros(mi.Float, 3 * width * height)
+    for k, value in enumerate((light.x, light.y, light.z)):
+        dr.scatter_add(film, value, 3 * pixel + k)
+    return np.asarray(film, dtype=np.float64).reshape(height, width, 3) / samples
 
 
 def _describe(
@@ -147,15 +192,28 @@ def _describe(
                 "pixel_format": "rgb",
                 "component_format": "float32",
             },
-            "sampler": {"type": "independent"},
+            "sampler": {"type": "multijitter"},
         },
     }
-    for k, mesh in enumerate(meshes):
-        scene[f"mesh{k}"] = _mesh(mi, f"mesh{k}", mesh, bands, scale)
+    sent = np.array([_sent(mesh) for mesh in meshes])
+    weights = np.maximum(sent / sent.max(), LEAST_WEIGHT)
+    for k, (mesh, weight) in enumerate(zip(meshes, weights, strict=True)):
+        scene[f"mesh{k}"] = _mesh(mi, f"mesh{k}", mesh, bands, scale, float(weight))
     return scene
 
 
-def _mesh(mi: Any, name: str, mesh: TracedMesh, bands: NDArray[np.intp], scale: float) -> Any:
+def _sent(mesh: TracedMesh) -> float:
+    """Return what a mesh sends in all bands, up to a factor that all share: its area times the mean of its texels."""
+    if mesh.radiance is None:
+        return 0.0
+    total = mesh.radiance.sum(axis=-1, dtype=np.float64)
+    bright = total[total > 0]
+    a, b, c = np.moveaxis(mesh.positions[mesh.triangles].astype(np.float64), 1, 0)
+    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    return area * float(bright.mean()) if bright.size else 0.0
+
+
+def _mesh(mi: Any, name: str, mesh: TracedMesh, bands: NDArray[np.intp], scale: float, weight: float) -> Any:
     wrap = "repeat" if mesh.repeat else "clamp"
     smooth = "bilinear" if mesh.reflectance.shape[:2] != (1, 1) else "nearest"
     reflectance = _bitmap(mi, mesh.reflectance[..., bands], wrap, smooth)
@@ -166,7 +224,9 @@ def _mesh(mi: Any, name: str, mesh: TracedMesh, bands: NDArray[np.intp], scale: 
     # An emitter that sends nothing would make Mitsuba divide by 0.
     if mesh.radiance is not None and mesh.radiance[..., bands].any():
         radiance = _bitmap(mi, mesh.radiance[..., bands] * np.float32(scale), "clamp", "nearest")
-        properties["mesh_emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
+        properties["mesh_emitter"] = mi.load_dict(
+            {"type": "area", "radiance": radiance, "sampling_weight": weight}
+        )
     shape = mi.Mesh(
         name, len(mesh.positions), len(mesh.triangles), properties, has_vertex_normals=True,
         has_vertex_texcoords=True,

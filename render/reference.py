@@ -2,7 +2,7 @@
 
 Two depths: `full=False` reflects the glow once, as the other ways do, and is what they are tested against;
 `full=True` follows it to the end, and shows what one reflection leaves out. Lamp light stays that of the passes
-before. Mitsuba samples each pixel at random places, so edges differ from a regular grid of samples.
+before. Paths begin where the other passes sample a pixel, so that edges do not differ (`path_tracer.trace`).
 """
 
 from __future__ import annotations
@@ -54,7 +54,9 @@ class Reference:
             around.size,
             reflections=UNLIMITED if p.full else p.bounces,
             samples=p.samples,
+            seed=p.seed,
             direct=False,
+            grid=around.supersampling,
         )
         self._pixels.write(to_layers(self.reflected[::-1]).astype("f4").tobytes())
         self._pixels.use(0)

@@ -4,6 +4,8 @@
     tile_groups    what each tile of 16² pixels sees, in one or two groups        once
     tile_cells     the cells that stand for the scene, as seen from each group    once
     tile_hits      the nearest cell in each direction of each pixel               once
+    tile_guide     where shadows may end, for the filter                          once
+    glow_guide     the same, smoothed                                             once
     cell_rays      what the cells see of each other                               once, where light bounces
     cell_glow      what each cell sends                                           per picture
     tile_light     the mean over a pixel's directions                             per picture
@@ -64,6 +66,7 @@ class Tiles:
         check_room(w * h * parameters.directions * 8, "what a picture's directions hit")
         self._hits = device.buffer(np.zeros((w * h * parameters.directions, 2), dtype=np.uint32))
         self._nearness = device.buffer(np.zeros(w * h, dtype=np.float32))
+        self._guide = device.buffer(np.zeros((w * h, 2), dtype=np.float32))
         layers = layer_count(self.n_bands)
         self._light, self._spare = (device.texture_array((w, h), layers) for _ in range(2))
         self._placed: list[bytes] = []
@@ -97,12 +100,18 @@ class Tiles:
             "tile_hits", "SUPERSAMPLING", "DIRECTIONS", "AIMLESS", "PATTERN", "BATCH"
         )
         self._group_shader = self._program("tile_groups", "SUPERSAMPLING")
+        self._guide_shaders = (
+            self._program("tile_guide", "DIRECTIONS"),
+            self._program("glow_guide", "SUPERSAMPLING"),
+        )
         self._cell_shaders = [self._device.compute("tile_cells", d) for d in ({}, {"FILL": 1})]
         n_groups = 2 * self._tiles[0] * self._tiles[1]
         with self._device.scope():
             groups = self._device.buffer(np.zeros((n_groups, GROUP_FLOATS), dtype=np.float32))
             self._bound_groups(groups)
-            self._find_hits(groups, *self._choose_cells(groups, n_groups))
+            walk, *chosen = self._choose_cells(groups, n_groups)
+            self._find_hits(groups, walk, *chosen)
+            self._find_guide(walk)
 
     def place(self) -> None:
         """Make the cells, and find what they see of each other, where drawables have moved since the last time."""
@@ -189,6 +198,17 @@ class Tiles:
             shader.run(*self._tiles, 2)
             self._device.ctx.memory_barrier()
 
+    def _find_guide(self, walk: moderngl.Buffer) -> None:
+        size = self._around.size
+        rough = self._device.buffer(np.zeros((size[0] * size[1], 2), dtype=np.float32))
+        judge, smooth = self._guide_shaders
+        self._bind_receivers(smooth)
+        for shader, buffers in ((judge, (self._hits, walk, rough)), (smooth, (rough, self._guide))):
+            for k, buffer in enumerate(buffers):
+                buffer.bind_to_storage_buffer(k)
+            set_uniforms(shader, size=size)
+            self._device.dispatch(shader, size)
+
     def hits(self) -> NDArray[np.uint32]:
         """Return (h, w, directions) 1 + the cell whose front each direction meets, or 0; row 0 is the lowest."""
         w, h = self._around.size
@@ -221,6 +241,7 @@ class Tiles:
         shader = self._program("glow_filter", "SUPERSAMPLING", "AIMLESS", "LAYERS", "RADIUS")
         self._bind_receivers(shader)
         self._nearness.bind_to_storage_buffer(0)
+        self._guide.bind_to_storage_buffer(1)
         for along in ((1, 0), (0, 1)):
             self._light.use(2)
             set_uniforms(shader, light_in=2, along=along)

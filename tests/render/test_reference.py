@@ -75,6 +75,43 @@ def test_what_the_camera_sees_is_what_the_renderer_sees():
     assert (np.abs(got - want).max(axis=-1)[bright] < 0.02 * want.max()).all()
 
 
+def test_pictures_of_two_seeds_differ_by_noise_alone(build, rooms):
+    """Their means agree within five standard errors of the difference of their pixels."""
+    path = rooms.facing_disks(build).write()
+    one, same, other = (
+        render(path, ["0"], size=(32, 32), supersampling=1,
+               transport=TransportParameters("reference", samples=16, seed=seed))[0].radiance.sum(axis=-1)
+        for seed in (1, 1, 2)
+    )  # fmt: skip
+    np.testing.assert_array_equal(one, same)
+    difference = one - other
+    assert difference.any()
+    assert abs(difference.mean()) < 5 * difference.std() / np.sqrt(difference.size)
+
+
+def test_paths_begin_where_the_renderer_samples_a_pixel():
+    """Four paths are then its 2² samples, and edges agree but for a sample on the very line: the mean difference is a
+    quarter of that of paths which all begin in the pixel's middle; a texel's slope (above) keeps it from 0."""
+    from phoslab.render.device import Device
+    from phoslab.render.renderer import Renderer, RenderParameters
+
+    if path_tracer._mitsuba().variant() != path_tracer.LLVM:
+        pytest.skip("without LLVM paths begin anywhere in a pixel")
+    scene, size = load_scene(SCENES / "cornell"), (64, 51)
+    with Device() as device:
+        p = RenderParameters(size, 2, transport=TransportParameters("reference", samples=1))
+        renderer = Renderer(device, scene, p)
+        want = renderer.frame(21.0).radiance - renderer.transport.reflected
+        meshes = renderer.transport.meshes()
+    same, middle = (
+        np.abs(
+            path_tracer.trace(meshes, scene.camera, size, reflections=0, samples=4, grid=grid) - want
+        ).mean()
+        for grid in (2, 1)
+    )
+    assert same < 0.5 * middle
+
+
 def test_what_has_faded_by_six_decades_is_traced_as_well():
     bright, dim = (
         render(SCENES / "occluder", [t], size=(48, 48), supersampling=1,

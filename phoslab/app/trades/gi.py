@@ -57,6 +57,7 @@ SETTINGS: dict[str, Sequence[dict[str, Any]]] = {
     "dss-z": ({"directions": 1}, {"directions": 4}, {"epsilon": 0.08}, {"surfel": 0.04}),
 }
 PATHS = (1, 4, 16, 64)
+SUPERSAMPLING = 2
 FEWER_PATHS = (1, 4, 16)
 
 
@@ -111,7 +112,7 @@ def measure(folder: Path, *, quick: bool, progress: Progress) -> tuple[list[str]
     summary = [line for name in names for line in _verdicts(name, [p for p in points if p.scene == name])]
     table = Table(
         "points",
-        f"Glow that is reflected once, {size[0]} x {size[1]} pixels of 2² samples, three bands, against "
+        f"Glow that is reflected once, {size[0]} x {size[1]} pixels of {SUPERSAMPLING}² samples, three bands, against "
         f"{truth_samples} paths a pixel. First: a new view, where only what moves with the scene was there; Mitsuba's "
         "time is without its set-up of the scene.",
         ("scene", "method", "setting", "relative squared error", "first [ms]", "again [ms]"),
@@ -158,18 +159,18 @@ class _Bench:
         tiles, reference = renderer.transport, self._renderer("reference", {}).transport
         assert isinstance(tiles, Tiles)
         assert isinstance(reference, Reference)
-        self._truth = self._paths(reference, truth_samples, seed=1)[0]
+        self._truth = self._paths(reference, truth_samples, seed=1)
         for method, settings in self._ways(quick):
             for setting in settings:
                 with self._device.scope():
                     yield self._drawn(method, setting)
-        empty_s = min(self._paths(reference, 1, reflections=0)[1] for _ in range(2))
+        empty_s = min(self._paths_s(reference, 1, reflections=0) for _ in range(2))
         for n in paths:
-            picture, s = self._paths(reference, n)
-            yield self._traced("mitsuba", n, picture, s - empty_s, 0.0)
-            light, s = self._paths(reference, n, white=True)
+            s = median(self._paths_s(reference, n) for _ in range(self._runs)) - empty_s
+            yield self._traced("mitsuba", n, self._paths(reference, n), s, 0.0)
+            light = self._paths(reference, n, white=True)
             filtered, filter_s = self._filtered(renderer, tiles, light)
-            yield self._traced("mitsuba, filtered", n, filtered, s - empty_s, filter_s)
+            yield self._traced("mitsuba, filtered", n, filtered, s, filter_s)
 
     def _ways(self, quick: bool) -> Iterator[tuple[str, Sequence[dict[str, Any]]]]:
         for method in METHODS:
@@ -179,7 +180,9 @@ class _Bench:
 
     def _renderer(self, method: str, setting: dict[str, Any]) -> Renderer:
         transport = TransportParameters(method, **setting)
-        renderer = Renderer(self._device, self._scene, RenderParameters(self._size, 2, transport=transport))
+        renderer = Renderer(
+            self._device, self._scene, RenderParameters(self._size, SUPERSAMPLING, transport=transport)
+        )
         renderer.frame(self._moment_s)
         return renderer
 
@@ -210,21 +213,23 @@ class _Bench:
         self._device.ctx.finish()
 
     def _paths(
-        self, reference: Reference, samples: int, *, seed: int = 2, reflections: int = 1, white: bool = False
-    ) -> tuple[Floats, float]:
-        """Return the light of one reflection by so many paths a pixel, and the time of paths that count all light.
+        self, reference: Reference, samples: int, *, seed: int = 2, white: bool = False, **more: Any
+    ) -> Floats:
+        """Return the light of one reflection by so many paths a pixel.
 
         Args:
             white: as if what the camera sees reflected all: E / π.
+            more: of `trace`, in place of one reflection alone.
         """
-        meshes = reference.meshes(white=white)
-        camera = self._scene.camera
+        how = {"reflections": 1, "direct": False, **more}
+        meshes, camera = reference.meshes(white=white), self._scene.camera
+        return trace(meshes, camera, self._size, samples=samples, seed=seed, grid=SUPERSAMPLING, **how)
+
+    def _paths_s(self, reference: Reference, samples: int, **more: Any) -> float:
+        """Return the time of paths that count all light: what comes directly is not traced a second time."""
         begin = time.perf_counter()
-        trace(meshes, camera, self._size, reflections=reflections, samples=samples, seed=seed)
-        s = time.perf_counter() - begin
-        return trace(
-            meshes, camera, self._size, reflections=reflections, samples=samples, seed=seed, direct=False
-        ), s
+        self._paths(reference, samples, direct=True, **more)
+        return time.perf_counter() - begin
 
     def _filtered(self, renderer: Renderer, tiles: Tiles, light: Floats) -> tuple[Floats, float]:
         begin = time.perf_counter()
