@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError, printable
-from phoslab.fitting.decay import DecayData, fit_decay
+from phoslab.fitting.decay import fit_decay
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.find_strip import follow_strip
 from phoslab.fitting.lvf import Calibration, positions
 from phoslab.fitting.measured_camera import UNMEASURED_REPEATABILITY

@@ -47,6 +47,7 @@ class ExcitationFit:
         initial: (n_c,) r(0) of the decay: how full each state was when the lamp went off.
         gain_error: (n_c,) standard error of log G, which is that of log Λ.
         scale_error: (n_c,) standard error of log a: how well saturation, and with it ke and Λ apart, are known.
+        shape_error: (n_c, n_bands) relative standard error of ke_ij / a_i; what saturation leaves open cancels.
         product: (n_c, n_bands) G_i ke_ij, Λ ke as the camera sees it; determined even where the factors are not.
         product_standard_error: (n_c, n_bands).
         correlation: (n_c, 2) of log a with log G (Λ) and with log r(0).
@@ -71,6 +72,7 @@ class ExcitationFit:
     initial: Array
     gain_error: Array
     scale_error: Array
+    shape_error: Array
     product: Array
     product_standard_error: Array
     correlation: Array
@@ -242,8 +244,9 @@ def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit
     ke, ke_by = fine @ into.T, np.einsum("bj,ijp->ibp", into, fine_by)
     log_gain, gain_by, initial = problem.gain(theta)
     a = fine @ problem.charge.light
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         log_a_by = np.einsum("j,ijp->ip", problem.charge.light, fine_by) / a[:, None]
+        shape_by = ke_by / ke[:, :, None] - log_a_by[:, None, :]
     # G = A / (kr r(0))
     initial_by = -gain_by
     initial_by[:, : 2 * n_c] += np.concatenate([-np.eye(n_c), np.eye(n_c)], axis=1)
@@ -283,6 +286,7 @@ def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit
         initial=initial,
         gain_error=_errors(gain_by, covariance),
         scale_error=_errors(log_a_by, covariance),
+        shape_error=_errors(np.where(ke[:, :, None] > 0, shape_by, 0.0), covariance),
         product=product,
         product_standard_error=product_error,
         correlation=np.stack(

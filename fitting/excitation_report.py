@@ -76,19 +76,39 @@ def lines(fit: ExcitationFit) -> list[str]:
             f"  correlation of log a    {fit.correlation[i, 0]:+.2f} with log Λ, "
             f"{fit.correlation[i, 1]:+.2f} with log r(0)",
         ]
-        for j in range(fit.bands.n):
-            name = f"  ke {fit.bands.label(j)}".ljust(26)
-            ke, product = fit.ke_m2_per_J[i, j], fit.product[i, j]
-            if ke > 0:
-                error = fit.product_standard_error[i, j] / product
-                told.append(
-                    f"{name}{ke:.4g} m²/J ({_share(fit.ke_standard_error[i, j] / ke)}; Λ ke {_share(error)})"
-                )
-            elif np.isfinite(fit.ke_upper_limit[i, j]):
-                told.append(f"{name}below {fit.ke_upper_limit[i, j]:.2g} m²/J (95 %)")
-            else:
-                told.append(f"{name}below the limit of detection, which could not be found")
+        if not fit.common_shape:
+            told += [_rate(fit, i, j) for j in range(fit.bands.n)]
+    if fit.common_shape:
+        told.append("[[ke of every state: its a, times]]")
+        told += [_shape(fit, j) for j in range(fit.bands.n)]
     return told
+
+
+def _rate(fit: ExcitationFit, i: int, j: int) -> str:
+    """A state's rate in a band, or what it stays below."""
+    name = f"  ke {fit.bands.label(j)}".ljust(26)
+    ke = fit.ke_m2_per_J[i, j]
+    if ke > 0:
+        error = fit.product_standard_error[i, j] / fit.product[i, j]
+        return f"{name}{ke:.4g} m²/J ({_share(fit.ke_standard_error[i, j] / ke)}; Λ ke {_share(error)})"
+    return name + _below(fit.ke_upper_limit[i, j], "m²/J")
+
+
+def _shape(fit: ExcitationFit, j: int) -> str:
+    """What all states have in common in a band: ke as a share of the excitation a under the lamp."""
+    name = f"  {fit.bands.label(j)}".ljust(26)
+    share = fit.ke_m2_per_J[0, j] / fit.a_per_s[0]
+    if share > 0:
+        return f"{name}{share:.4g} s m²/J ({_share(fit.shape_error[0, j])})"
+    return name + _below(fit.ke_upper_limit[0, j] / fit.a_per_s[0], "s m²/J")
+
+
+def _below(limit: float, unit: str) -> str:
+    return (
+        f"below {limit:.2g} {unit} (95 %)"
+        if np.isfinite(limit)
+        else "below the limit of detection, which could not be found"
+    )
 
 
 def _share(error: float) -> str:

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from phoslab.fitting.decay import DecayFit, exposed_decay, misfit
+from phoslab.fitting.decay import DecayFit, misfit
+from phoslab.fitting.decay_problem import exposed_decay
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phoslab.fitting.decay import DecayData, DecayFit
+from phoslab.fitting.decay import DecayFit
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.selection import select
 
 # A prediction may miss a frame by this many standard deviations of the frame's own noise without being wrong.

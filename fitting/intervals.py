@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
-from phoslab.fitting import decay
-from phoslab.fitting.decay import DecayFit, Problem
+from phoslab.fitting import decay, decay_problem
+from phoslab.fitting.decay import DecayFit
+from phoslab.fitting.decay_problem import Problem
 
 Array = NDArray[np.float64]
 
@@ -33,7 +34,7 @@ def rate_intervals(fit: DecayFit, *, sigma_known: bool = True, level: float = 0.
         return np.stack([np.zeros(fit.n_states), np.full(fit.n_states, np.inf)], axis=1)
     limit = fdtri(1, fit.dof if not sigma_known else 1e9, level)
     limit *= decay.misfit(fit.chi2, fit.dof) if sigma_known else fit.chi2 / fit.dof
-    stated = decay.problem(fit.data, fit.n_states, offset=fit.has_offset, rank_one=fit.rank_one)
+    stated = decay_problem.problem(fit.data, fit.n_states, offset=fit.has_offset, rank_one=fit.rank_one)
     ends = np.empty((fit.n_states, 2))
     for i in range(fit.n_states):
         profile = _Profile(fit, stated, i, float(np.sqrt(limit)))
@@ -148,7 +149,7 @@ def bootstrap_intervals(fit: DecayFit, n_draws: int, seed: int, level: float = 0
     for k in range(n_draws):
         frame = shared * rng.standard_normal((len(model), 1))
         drawn = replace(data, signal=model + own * rng.standard_normal(model.shape) + frame)
-        stated = decay.problem(drawn, fit.n_states, offset=fit.has_offset, rank_one=fit.rank_one)
+        stated = decay_problem.problem(drawn, fit.n_states, offset=fit.has_offset, rank_one=fit.rank_one)
         rates[k] = np.exp(np.sort(stated.solve(fit.theta, polish=False).theta[: fit.n_states])[::-1])
     tail = 50 * (1 - level)
     ends: Array = np.percentile(rates, [tail, 100 - tail], axis=0).T

@@ -234,7 +234,7 @@ def calibrate(
         )
         middle = np.average(flat.signal, axis=0, weights=np.isfinite(flat.sigma).all(axis=1).astype(float))
         share = float(whole.sum() / middle.sum())
-        curves = replace(curves, curve=curves.curve * share, standard_error=curves.standard_error * share)
+        curves = curves.times(share)
     return Calibration(
         strip=strip,
         map=at,
@@ -393,7 +393,10 @@ def _curves(
     curve = np.full((there.size, GRID_NM.size), np.nan)
     error = curve.copy()
     curve[there], error[there] = fitted.curve, fitted.standard_error
-    return replace(fitted, curve=curve, standard_error=error)
+    assert fitted.covariance is not None
+    covariance = np.full((there.size, *fitted.covariance.shape[1:]), np.nan)
+    covariance[there] = fitted.covariance
+    return replace(fitted, curve=curve, standard_error=error, covariance=covariance)
 
 
 def positions(signals: Sequence[Array], sigmas: Sequence[Array], weights: Array) -> tuple[Array, Array]:

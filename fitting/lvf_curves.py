@@ -17,7 +17,7 @@ never below zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,11 @@ GRID_NM = np.arange(380.0, 721.0, 2.0)
 """Wavelengths at which a calibration holds curves and spectra are computed."""
 
 
+TOGETHER_NM = 5.0
+"""Over so much the errors of a curve go together where its covariance is not known: two nodes. In truth what a curve
+has too much at one wavelength it lacks at another, so this overstates what smooth light suffers from it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Curves:
     """Transmission curves.
@@ -49,6 +54,8 @@ class Curves:
         degrees: effective number of parameters.
         strength: μ of the penalty.
         at_end: the data do not say how smooth the curves are.
+        covariance: (n_k, n_x + 1, n_x + 1) of each curve's nodes and of what passes everywhere; NaN off the strip. None
+            in files that did not keep it.
     """
 
     curve: Array
@@ -58,6 +65,30 @@ class Curves:
     degrees: float
     strength: float
     at_end: bool
+    covariance: Array | None = None
+
+    def times(self, factor: float) -> Curves:
+        """In a unit `factor` times as small."""
+        covariance = None if self.covariance is None else self.covariance * factor**2
+        return replace(
+            self,
+            curve=self.curve * factor,
+            standard_error=self.standard_error * factor,
+            covariance=covariance,
+        )
+
+    def signal_covariance(self, positions_nm: Array, light: Array) -> Array:
+        """(n_k, 3, 3) what the curves' errors make of the signals of a light at the positions.
+
+        Args:
+            light: (n_nm, 3) the light as the channels weigh it, at `GRID_NM`.
+        """
+        step = GRID_NM[1] - GRID_NM[0]
+        if self.covariance is None:
+            variance = np.nan_to_num(self.standard_error) ** 2
+            return np.asarray(np.einsum("kn,na,nb->kab", variance, light, light) * step * TOGETHER_NM)
+        seen = np.stack([_hats(GRID_NM, p).T @ light * step for p in positions_nm])
+        return np.asarray(np.einsum("kxa,kxy,kyb->kab", seen, np.nan_to_num(self.covariance), seen))
 
     def shape(self, positions_nm: Array) -> Array:
         """(n_x,) the bands' mean shape over `X_NM`, with a largest value of 1."""
@@ -104,15 +135,18 @@ def fit_curves(
     over_x[:, :n_x] = second_differences(n_x)
     along = np.kron(np.eye(n_k), over_x.T @ over_x)
     d = second_differences(n_k)
-    solution = solve(normal, along + ALIKE * np.kron(d.T @ d, np.eye(size)))
+    # Free are what is straight over x and what passes everywhere, each straight over the positions.
+    solution = solve(normal, along + ALIKE * np.kron(d.T @ d, np.eye(size)), nullity=3 * 2)
     x = solution.x.reshape(n_k, size)
     on_grid = [_hats(GRID_NM, position) for position in positions_nm]
     curve = np.stack([g @ x[k] for k, g in enumerate(on_grid)])
+    blocks = [slice(k * size, (k + 1) * size) for k in range(n_k)]
+    covariance = np.stack([solution.covariance[at, at] for at in blocks])
+    covariance = (covariance + covariance.swapaxes(1, 2)) / 2
     error = np.empty_like(curve)
     missed = []
     for k, g in enumerate(on_grid):
-        at = slice(k * size, (k + 1) * size)
-        error[k] = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", g, solution.covariance[at, at], g), 0.0))
+        error[k] = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", g, covariance[k], g), 0.0))
         predicted = np.tensordot(seen, hats[k], (1, 0)) @ x[k]
         used = np.isfinite(sigma[k])
         if used.any():
@@ -125,6 +159,7 @@ def fit_curves(
         degrees=solution.degrees,
         strength=solution.strength,
         at_end=solution.at_end,
+        covariance=covariance,
     )
 
 

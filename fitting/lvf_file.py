@@ -14,7 +14,7 @@ from phoslab.errors import PhoslabError
 from phoslab.files import read_regular, sha256, write_text
 from phoslab.fitting.card import Shading
 from phoslab.fitting.lvf import POSITIONS_NM, Calibration
-from phoslab.fitting.lvf_curves import GRID_NM, Curves
+from phoslab.fitting.lvf_curves import GRID_NM, X_NM, Curves
 from phoslab.fitting.photon_transfer import Noise
 from phoslab.fitting.sensitivities import Sensitivities
 from phoslab.fitting.settings import Settings
@@ -63,6 +63,7 @@ def save(calibration: Calibration, path: Path) -> None:
             "wavelengths_nm": GRID_NM.tolist(),
             "transmission": _listed(curves.curve),
             "standard_error": _listed(curves.standard_error),
+            **_covariance_listed(curves.covariance),
             "absolute": c.absolute,
             "misfit": curves.misfit,
             "scale": curves.scale,
@@ -125,7 +126,9 @@ def load(path: Path) -> tuple[Calibration, str]:
     try:
         return _calibration(data), sha256(path)
     except (ValueError, TypeError) as error:
-        raise PhoslabError(f"holds tables of unequal lengths ({error})", file=path, remedy=remedy) from error
+        raise PhoslabError(
+            f"holds tables that do not fit together ({error})", file=path, remedy=remedy
+        ) from error
 
 
 def _calibration(data: dict[str, Any]) -> Calibration:
@@ -150,7 +153,10 @@ def _calibration(data: dict[str, Any]) -> Calibration:
         ):
             raise ValueError("curves")
         read = Curves(
-            curve, error, *(curves[k] for k in ("misfit", "scale", "degrees", "strength", "at_end"))
+            curve,
+            error,
+            **{k: curves[k] for k in ("misfit", "scale", "degrees", "strength", "at_end")},
+            covariance=_covariance(curves),
         )
     ends = (float(at["ends_px"][0]), float(at["ends_px"][1]))
     shading = data.get("shading")  # files of before it was measured have none
@@ -200,6 +206,38 @@ def _calibration(data: dict[str, Any]) -> Calibration:
         },
         shading=None if shading is None else _shading(shading),
     )
+
+
+def _covariance_listed(covariance: Array | None) -> dict[str, Any]:
+    """The fields that hold the curves' covariance; none where it is not known."""
+    if covariance is None:
+        return {}
+    lower = np.tril_indices(covariance.shape[1])
+    return {
+        "nodes": X_NM.tolist(),
+        "covariance": [None if np.isnan(c).any() else c[lower].tolist() for c in covariance],
+    }
+
+
+def _covariance(curves: dict[str, Any]) -> Array | None:
+    """(n_k, n_x + 1, n_x + 1) the curves' covariance, NaN where there is no curve; None if the file has none."""
+    if "covariance" not in curves:
+        return None
+    size = X_NM.size + 1
+    lower = np.tril_indices(size)
+    covariance = np.full((POSITIONS_NM.size, size, size), np.nan)
+    if curves.get("nodes") != X_NM.tolist():
+        raise ValueError("the curves' nodes")
+    for k, values in enumerate(curves["covariance"]):
+        if values is not None:
+            if len(values) != lower[0].size:
+                raise ValueError("the curves' covariance")
+            covariance[k][lower] = values
+            covariance[k].T[lower] = values
+            known = np.linalg.eigvalsh(covariance[k])
+            if known[0] < -1e-9 * known[-1]:
+                raise ValueError("the curves' covariance, in which some variance is negative")
+    return covariance
 
 
 def _shading(data: dict[str, Any]) -> Shading:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.fitting import varpro
-from phoslab.fitting.decay import DecayData
+from phoslab.fitting.decay_data import DecayData
 
 Array = NDArray[np.float64]
 

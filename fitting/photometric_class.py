@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting.decay import DecayData
+from phoslab.fitting.decay_data import DecayData
 
 Array = NDArray[np.float64]
 

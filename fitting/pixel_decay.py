@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.fitting import pixel_kernels
-from phoslab.fitting.decay import MOST_STATES, exposed_decay
+from phoslab.fitting.decay import MOST_STATES
+from phoslab.fitting.decay_problem import exposed_decay
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
 from phoslab.exr import write_channels
-from phoslab.fitting.decay import rate_limits
+from phoslab.fitting.decay_starts import rate_limits
 from phoslab.fitting.engine import Fits, here
 from phoslab.fitting.pixel_decay import Flag, PixelFits, PixelNoise, PixelProblem
 from phoslab.fitting.pixel_frames import PixelFrames, stored

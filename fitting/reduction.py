@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting.decay import DecayData
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.measured_camera import MeasuredCamera
 from phoslab.fitting.region import find_sample, surroundings
 from phoslab.raw import RegionMeans, preview, regions_means

@@ -2,15 +2,12 @@
 
     minimise  Σ ((A x - y) / σ)² + μ |D x|²   over x >= 0
 
-μ minimises the generalised cross-validation score (Golub, Heath and Wahba 1979)
-
-    GCV(μ) = n RSS / (n - γ t)²,     t = trace of the matrix that maps y to A x,
-
-with γ = 1.4, which keeps it from following noise when data are few (Kim and Gu 2004). The score is flat around its
-minimum: of what it cannot tell apart, or what fits within the noise, the smoothest is taken. The band is that of the
-posterior of which x is the mean, s² (AᵀA + μ DᵀD)⁻¹: over all of a curve it covers as often as it says (Wahba 1983),
-too wide where the curve is smooth and too narrow where it bends most. There smoothing has pulled x away from what the
-data say; how far it moves when smoothed ten times less tells by how much (`Solution.pull`).
+The penalty says that D x is normal noise of variance s² / μ. So μ and s² are those under which the data are most
+likely, x itself integrated out (restricted maximum likelihood; Wood 2011, doi 10.1111/j.1467-9868.2010.00749.x); s, by
+how much σ understates the noise, is never below 1. Generalised cross-validation, which does not believe σ, now and then
+hardly smooths at all, and its bands are too narrow where x bends. The band is that of the posterior of which x is the
+mean, s² (AᵀA + μ DᵀD)⁻¹: over all of a curve it covers as often as it says (Wahba 1983) where D weighs bends by what is
+expected there; it is too wide where x is smoother than that.
 """
 
 from __future__ import annotations
@@ -21,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import bandwidth, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.optimize import minimize_scalar
 from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 
-_GAMMA = 1.4
 _ROUNDS = 100
 _EXACT, _SIGNS = 300, 40
 
@@ -53,6 +50,21 @@ class Normal:
         weighted, right = A[used] / sigma[used, None], y[used] / sigma[used]
         return cls(weighted.T @ weighted, weighted.T @ right, float(right @ right), int(used.sum()))
 
+    @classmethod
+    def correlated(cls, A: Array, y: Array, covariance: Array) -> Normal:
+        """From groups of rows A (k, m, n), y (k, m) whose errors go together within a group, covariance (k, m, m).
+
+        Rows of infinite variance say nothing.
+        """
+        rows, right = [], []
+        for a, b, c in zip(A, y, covariance, strict=True):
+            used = np.isfinite(np.diag(c))
+            root = np.linalg.cholesky(c[np.ix_(used, used)])
+            rows.append(np.linalg.solve(root, a[used]))
+            right.append(np.linalg.solve(root, b[used]))
+        all_rows, all_right = np.concatenate(rows), np.concatenate(right)
+        return cls.of(all_rows, all_right, np.ones(all_right.size))
+
     def misfit(self, x: Array) -> float:
         """Σ ((A x - y) / σ)²."""
         return max(float(x @ self.matrix @ x - 2 * self.right @ x + self.squares), 0.0)
@@ -65,18 +77,15 @@ class Solution:
     Args:
         x: (n,).
         covariance: (n, n) of the posterior; of what is held at 0, as if it were free.
-        pull: (n,) x less what it is at a tenth of the strength: what smoothing has done to it, to first order in μ
-            (there the bias is μ M⁻¹ DᵀD x, of which nine tenths are seen), and some noise.
         strength: μ.
         misfit: Σ ((A x - y) / σ)².
         degrees: effective number of parameters, t.
         n_data: number of data.
-        at_end: the score still fell at the end of the range of μ that was searched.
+        at_end: the data were still more likely at the end of the range of μ that was searched.
     """
 
     x: Array
     covariance: Array
-    pull: Array
     strength: float
     misfit: float
     degrees: float
@@ -99,55 +108,55 @@ def second_differences(n: int) -> Array:
     return np.diff(np.eye(n), 2, axis=0)
 
 
-def solve(normal: Normal, penalty: Array, span: tuple[float, float] = (1e-7, 1e5)) -> Solution:
-    """Solve with the strength of the penalty chosen by generalised cross-validation of the non-negative solution.
+def solve(
+    normal: Normal, penalty: Array, nullity: int = 2, span: tuple[float, float] = (1e-7, 1e5)
+) -> Solution:
+    """Solve with the strength of the penalty under which the data are most likely.
+
+    The likelihood is that of solutions of either sign, for which it has a closed form.
 
     Args:
         penalty: (n, n), DᵀD.
+        nullity: in how many dimensions it leaves x free; of second differences two, a straight line.
         span: of μ, relative to what makes the penalty weigh as much as the data.
 
     Returns:
         The solution of the best strength; `Solution.at_end` where the best lies at an end of `span`.
     """
     unit = float(np.trace(normal.matrix)) / max(float(np.trace(penalty)), 1e-300)
-    free = np.ones(normal.right.size, dtype=bool)
-    tried: dict[float, tuple[float, NDArray[np.bool_], bool]] = {}
+    rank = normal.right.size - nullity
+    n_free = max(normal.n_data - nullity, 1)
 
-    def score(mu: float) -> float:
-        nonlocal free
-        if mu not in tried:
-            tried[mu] = _score(normal, normal.matrix + mu * penalty, free)
-        free = tried[mu][1]
-        return tried[mu][0]
+    def weighed(log_strength: float) -> tuple[Array, _Factor, float]:
+        """The matrix, its factor, and what is left of the data, in units of their noise."""
+        M = normal.matrix + unit * np.exp(log_strength) * penalty
+        M = M + _jitter(M)
+        factor = _factors(M)(np.ones(normal.right.size, dtype=bool))
+        return M, factor, normal.squares - float(normal.right @ factor.solve(normal.right))
 
-    # From smooth to rough, each from what was free before: the sets change little.
-    grid = unit * np.geomspace(*span, 13)[::-1]
-    scores = np.array([score(float(mu)) for mu in grid])
-    # The smoothest that is no worse than the best by more than the score's own standard error (Breiman et al. 1984).
-    # So is what misses the data by no more than their noise.
-    limit = float(scores.min()) * (1 + np.sqrt(2 / max(normal.n_data, 1)))
+    def unlikely(log_strength: float) -> float:
+        """-2 log of the likelihood, but for a constant."""
+        _, factor, left = weighed(log_strength)
+        s2 = max(1.0, left / n_free)
+        return left / s2 + n_free * float(np.log(s2)) + factor.log_determinant - rank * log_strength
 
-    def serves(mu: float) -> bool:
-        return score(mu) <= limit or tried[mu][2]
-
-    k = next(k for k, mu in enumerate(grid) if serves(float(mu)))
+    grid = np.log(np.geomspace(*span, 13))
+    k = int(np.argmin([unlikely(g) for g in grid]))
     at_end = k in (0, grid.size - 1)
     best = float(grid[k])
-    for factor in (10**0.5, 10**0.25):
-        if serves(best * factor):
-            best *= factor
-    free = tried[best][1]
-    M = normal.matrix + best * penalty
-    M = M + _jitter(M)
-    x, _ = non_negative(M, normal.right, free)
-    inverse = _solver(M)(np.ones(x.size, dtype=bool))(np.eye(x.size))
-    degrees = _degrees(normal, M, x > 0)
-    misfit = normal.misfit(x)
-    # Noise is not made smaller than σ says: a lucky fit is no better camera.
-    scale = max(1.0, misfit / max(normal.n_data - degrees, 1.0))
-    less = normal.matrix + best / 10 * penalty
-    rougher, _ = non_negative(less + _jitter(less), normal.right, free)
-    return Solution(x, scale * inverse, x - rougher, float(best), misfit, degrees, normal.n_data, at_end)
+    if not at_end:
+        best = float(minimize_scalar(unlikely, bounds=(grid[k - 1], grid[k + 1]), options={"xatol": 0.05}).x)
+    M, factor, left = weighed(best)
+    x, free = non_negative(M, normal.right)
+    return Solution(
+        x=x,
+        covariance=max(1.0, left / n_free) * factor.solve(np.eye(x.size)),
+        strength=float(unit * np.exp(best)),
+        misfit=normal.misfit(x),
+        degrees=_degrees(normal, M, free),
+        n_data=normal.n_data,
+        at_end=at_end,
+    )
 
 
 def non_negative(
@@ -166,9 +175,9 @@ def non_negative(
     fewest, patience = n + 1, 3
     x = np.zeros(n)
     tolerance = 1e-12 * max(float(np.abs(right).max()), 1e-300)
-    solver, product = _solver(M), csr_array(M)
+    factors, product = _factors(M), csr_array(M)
     for _ in range(_ROUNDS):
-        x = solver(free)(right) if free.any() else np.zeros(n)
+        x = factors(free).solve(right) if free.any() else np.zeros(n)
         gradient = product @ x - right
         wrong = (free & (x < 0)) | (~free & (gradient < -tolerance))
         if not wrong.any():
@@ -186,21 +195,11 @@ def non_negative(
     return np.maximum(x, 0.0), free
 
 
-def _score(normal: Normal, M: Array, free: NDArray[np.bool_]) -> tuple[float, NDArray[np.bool_], bool]:
-    """The score of the solution with matrix M, what is free in it, and whether it fits within the noise."""
-    M = M + _jitter(M)
-    x, free = non_negative(M, normal.right, free)
-    degrees, misfit = _degrees(normal, M, free), normal.misfit(x)
-    rest = normal.n_data - _GAMMA * degrees
-    score = float("inf") if rest <= 0 else normal.n_data * misfit / rest**2
-    return score, free, misfit <= normal.n_data - degrees
-
-
 def _degrees(normal: Normal, M: Array, free: NDArray[np.bool_]) -> float:
     """Trace of the matrix that maps y to A x, with what is held at 0 left out."""
     if not free.any():
         return 0.0
-    solve_free = _solver(M)(free)
+    solve_free = _factors(M)(free).solve
     if free.sum() <= _EXACT:
         return float(np.trace(solve_free(normal.matrix)[np.ix_(free, free)]))
     # The trace of a large matrix from products with random signs (Girard 1989), the same at every strength.
@@ -208,26 +207,33 @@ def _degrees(normal: Normal, M: Array, free: NDArray[np.bool_]) -> float:
     return float(np.sum(solve_free(signs) * (normal.matrix @ signs)) / _SIGNS)
 
 
-def _solver(M: Array) -> Callable[[NDArray[np.bool_]], Callable[[Array], Array]]:
-    """Return what takes which unknowns are free, and returns what solves M x = b for these, with the others at 0.
+@dataclass(frozen=True, eq=False)
+class _Factor:
+    """A factored matrix: what solves M x = b with some unknowns held at 0, and log |M| of the others."""
 
-    M is positive definite. What is held at 0 has its rows and columns replaced by those of the unit matrix: so a
-    narrow band stays one, and nothing is sorted out of it.
+    solve: Callable[[Array], Array]
+    log_determinant: float
+
+
+def _factors(M: Array) -> Callable[[NDArray[np.bool_]], _Factor]:
+    """Return what factors M, positive definite, for the unknowns that are free.
+
+    What is held at 0 has its rows and columns replaced by those of the unit matrix: so a narrow band stays one, and
+    nothing is sorted out of it.
     """
     n = M.shape[0]
     width = int(bandwidth(M)[0])
     if width > n // 4:
 
-        def dense(free: NDArray[np.bool_]) -> Callable[[Array], Array]:
-            both = np.ix_(free, free)
-            factor = cho_factor(M[both])
+        def dense(free: NDArray[np.bool_]) -> _Factor:
+            factor = cho_factor(M[np.ix_(free, free)])
 
             def solve(b: Array) -> Array:
                 x = np.zeros_like(b)
                 x[free] = cho_solve(factor, b[free])
                 return x
 
-            return solve
+            return _Factor(solve, 2 * float(np.log(np.diag(factor[0])).sum()))
 
         return dense
 
@@ -235,14 +241,17 @@ def _solver(M: Array) -> Callable[[NDArray[np.bool_]], Callable[[Array], Array]]
     for k in range(width + 1):
         band[k, : n - k] = np.diagonal(M, k)
 
-    def banded(free: NDArray[np.bool_]) -> Callable[[Array], Array]:
+    def banded(free: NDArray[np.bool_]) -> _Factor:
         both = np.zeros(band.shape, dtype=bool)
         for k in range(width + 1):
             both[k, : n - k] = free[: n - k] & free[k:]
         held = np.where(both, band, 0.0)
         held[0, ~free] = 1.0
         lower = cholesky_banded(held, lower=True)
-        return lambda b: np.asarray(cho_solve_banded((lower, True), (b.T * free).T))
+        return _Factor(
+            lambda b: np.asarray(cho_solve_banded((lower, True), (b.T * free).T)),
+            2 * float(np.log(lower[0]).sum()),
+        )
 
     return banded
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting import decay
-from phoslab.fitting.decay import DecayData
+from phoslab.fitting import decay, decay_problem
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.table import DecayTable
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ def screen(table: DecayTable) -> Screened:
                 f"{signal[0, c]:.6g}: the meter was at its limit; they are left out."
             )
             sigma[:clipped, c] = np.inf
-        reason = _no_decay(t, signal[:, c], sigma[:, c])
+        reason = no_decay(t, signal[:, c], sigma[:, c])
         if reason:
             lost[name] = reason
             flags.append(f"channel-lost: {name} {reason}.")
@@ -116,8 +116,12 @@ def _plateau(t: Array, values: Array, used: NDArray[np.bool_]) -> int:
     return run if run > 1 and t[run - 1] > t[0] else 0
 
 
-def _no_decay(t: Array, values: Array, sigma: Array) -> str | None:
-    """Return why a column is no decay, or None."""
+def no_decay(t: Array, values: Array, sigma: Array) -> str | None:
+    """Return why values are no decay, or None.
+
+    Args:
+        t, values, sigma: (n,); an infinite sigma is of a value that cannot be used.
+    """
     used = np.isfinite(sigma)
     v, at = values[used], t[used]
     if v.size == 0:
@@ -156,7 +160,7 @@ def clipped_start(data: DecayData, *, n_states: int) -> tuple[DecayData, tuple[s
         sigma = data.sigma.copy()
         sigma[frame] = np.inf
         without = replace(data, sigma=sigma)
-        if without.n_values <= decay.n_parameters(data, n_states, offset=False, rank_one=False):
+        if without.n_values <= decay_problem.n_parameters(data, n_states, offset=False, rank_one=False):
             break
         with_it = decay.fit_decay(data, n_states, rank_one=False, polish=False)
         free = decay.fit_decay(without, n_states, rank_one=False, polish=False)

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
-from phoslab.fitting import decay
-from phoslab.fitting.decay import MOST_STATES, DecayData, DecayFit, fit_decay
+from phoslab.fitting import decay, decay_problem
+from phoslab.fitting.decay import MOST_STATES, DecayFit, fit_decay
+from phoslab.fitting.decay_data import DecayData
 
 # A state more must be this unlikely to be chance.
 SIGNIFICANCE = 0.005
@@ -95,7 +96,7 @@ def select(
     fits: dict[tuple[int, bool], DecayFit] = {}
     for n_states in states:
         for offset in offsets:
-            n_parameters = decay.n_parameters(data, n_states, offset=offset, rank_one=rank_one)
+            n_parameters = decay_problem.n_parameters(data, n_states, offset=offset, rank_one=rank_one)
             if data.n_values < n_parameters + int(bool(fits)):
                 continue
             fits[n_states, offset] = fit_decay(data, n_states, offset=offset, rank_one=rank_one, polish=False)
@@ -133,7 +134,7 @@ def _share_weights(data: DecayData, most_states: int, *, rank_one: bool) -> Deca
     carried = [
         n
         for n in range(1, min(_PILOT_STATES, most_states) + 1)
-        if data.n_values > decay.n_parameters(data, n, offset=False, rank_one=rank_one)
+        if data.n_values > decay_problem.n_parameters(data, n, offset=False, rank_one=rank_one)
     ]
     pilot = fit_decay(data, max(carried, default=1), rank_one=rank_one, polish=False)
     return replace(pilot.data, law=None)
@@ -185,7 +186,7 @@ def _cross_validation(data: DecayData, fit: DecayFit) -> tuple[float | None, flo
         seen, unseen = data.take(rest), data.take(out)
         if seen.n_values <= fit.n_parameters or not unseen.n_values:
             return None, None
-        stated = decay.problem(seen, fit.n_states, offset=fit.has_offset, rank_one=fit.rank_one)
+        stated = decay_problem.problem(seen, fit.n_states, offset=fit.has_offset, rank_one=fit.rank_one)
         again = decay.conclude(stated, stated.solve(fit.theta, polish=False))
         miss = np.where(unseen.used, again.predict(unseen.t_s, unseen.exposure_s) - unseen.signal, 0.0)
         errors.append(((miss / unseen.total_sigma) ** 2)[unseen.used])

@@ -34,6 +34,7 @@ from phoslab.fitting.lvf_file import load
 from phoslab.fitting.measured_camera import MeasuredCamera, measure_camera
 from phoslab.fitting.reduction import ReducedDecay, reduce_decay
 from phoslab.fitting.result import FitResult, MeasuredExcitation
+from phoslab.fitting.screening import no_decay
 from phoslab.fitting.selection import select
 from phoslab.fitting.sensitivities import Sensitivities
 from phoslab.fitting.spectrum import Spectrum, measure_spectrum
@@ -95,6 +96,7 @@ def fit_session(
     camera = job.camera(calibration)
     sensitivities = _sensitivities(session, calibration)
     reduced = reduce_decay(session, progress, camera)
+    unseen = _no_decay(reduced, session)
     selection = select(
         reduced.data,
         states=_AUTOMATIC if states == "auto" else [int(states)],
@@ -123,7 +125,7 @@ def fit_session(
     per_state = emission.sum(axis=1) / shape.sum()
     emission_error = np.hypot(emission_error, per_state[:, None] * shape_error)
 
-    warnings = [*told.warnings, *job.warnings, *reduced.warnings]
+    warnings = [*told.warnings, *job.warnings, *reduced.warnings, *unseen]
     warnings += _doubts(fit, mismatch, "measured" if spectrum is not None else preset)
     if measured is not None:
         warnings += excitation_report.doubts(measured.fit)
@@ -425,6 +427,31 @@ def _assumed(
             )
         said = "; ".join(parts) + "."
     return said + (" The session is simulated." if session.header.simulated is not None else "")
+
+
+def _no_decay(reduced: ReducedDecay, session: Session) -> list[str]:
+    """Say which channels hold no decay.
+
+    Raises:
+        PhoslabError: none does; the error says why.
+    """
+    data = reduced.data
+    reasons = {
+        name: reason
+        for name, signal, sigma in zip(data.channels, data.signal.T, data.sigma.T, strict=True)
+        if (reason := no_decay(data.t_s, signal, sigma)) is not None
+    }
+    text = "; ".join(f"{name} {reason}" for name, reason in reasons.items())
+    if len(reasons) == len(data.channels):
+        alike = set(reasons.values())
+        text = f"every channel {alike.pop()}" if len(alike) == 1 else text
+        raise PhoslabError(
+            f"holds no decay: {text}",
+            file=session.path,
+            remedy="Check that its frames are in order, that the lamp was off and that no other light came in. Without "
+            "a decay there is no material; `phoslab spectrum` measures the other sessions.",
+        )
+    return [f"{session.path}: channel {text}."] if text else []
 
 
 def _doubts(fit: DecayFit, mismatch: float, spectrum_of: str | None) -> list[str]:

@@ -1,10 +1,7 @@
 """The spectrum of what a calibrated linear variable filter shows: of the lamp, or of a glowing sample.
 
-Each of the positions k is seen in three channels c, y_kc = ∫ T_k(λ) S_c(λ) L(λ) dλ, with T_k and S_c
-known: some 93 equations
-for L at 61 wavelengths, solved without negative values and as smooth as the data say (Nalbach 2017, 8.4.2).
-A hand that has put the strip down anew has moved it along itself by some tenth of a millimetre, that is by some tenths
-of a nanometre. The three channels see one spectrum only if it is read at the right places, which tells by how much.
+`strip_equations.py` tells how it follows from the signals along the strip; here sessions are read for it, and what they
+lack is said (Nalbach 2017, 8.4.2).
 """
 
 from __future__ import annotations
@@ -20,9 +17,8 @@ from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.fitting.card import Shading
 from phoslab.fitting.find_strip import follow_strip
-from phoslab.fitting.lvf import POSITIONS_NM, Calibration, positions, shading
-from phoslab.fitting.lvf_curves import GRID_NM
-from phoslab.fitting.regularised import Normal, Solution, second_differences, solve
+from phoslab.fitting.lvf import Calibration, shading
+from phoslab.fitting.strip_equations import NM, SHIFT_PX, StripEquations
 from phoslab.fitting.strip_light import StripLight, read_light
 from phoslab.raw import preview
 from phoslab.session import Frame, Session
@@ -30,26 +26,14 @@ from phoslab.strip import Strip
 
 Array = NDArray[np.float64]
 
-NM = np.arange(400.0, 701.0, 5.0)
-"""Wavelengths of a spectrum."""
-
-BELIEF = 0.004
-"""How well a calibration describes another measurement, as a share of the signal: repeated settings, moved lights."""
-
-TOGETHER_NM = 5.0
-"""Over so much the errors of a transmission curve go together: two of its nodes."""
-
 UNEVEN, EVEN = 0.03, 0.01
 """How far a spectrum may be wrong over long stretches, as a share of it: lights hang elsewhere than the one of the
 calibration did. The second where a frame without the strip has told how evenly the scene is lit."""
 
 _STRETCH_NM = 50.0
 
-BENDS_NM = 12.0
-"""Over so much what smoothing does to a spectrum goes together: half the width of what the strip passes."""
-
-_SHIFT_PX = 1.0
-"""Standard deviation of a strip's place along itself, before the colours are looked at."""
+_ADAPTED = 2
+"""How often bends and the curves' share of the noise are taken from the spectrum before."""
 
 _SEEN = 0.02
 """Share of the best-seen wavelength's weight below which a wavelength is hardly seen."""
@@ -192,7 +176,7 @@ def measure_spectrum(
             f"noise explains): "
             "the strip, the camera or the scattered light is not what it was at the calibration."
         )
-    if abs(result.shift_px) > 2 * _SHIFT_PX:
+    if abs(result.shift_px) > 2 * SHIFT_PX:
         warnings.append(
             f"The strip seems to have moved by {result.shift_px:.1f} pixels along itself since the calibration."
         )
@@ -223,44 +207,14 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
     """
     assert calibration.curves is not None
     even = np.ones(light.signal.shape[0]) if evenness is None else evenness
-    signal, sigma = light.signal / even[:, None], light.sigma / even[:, None]
-    curve = calibration.curves.curve
-    hats = np.maximum(0.0, 1 - np.abs(GRID_NM[:, None] - NM) / (NM[1] - NM[0]))
-    hats[:, 0] = np.where(GRID_NM < NM[0], 1.0, hats[:, 0])  # what lies beyond the ends is as at them
-    hats[:, -1] = np.where(GRID_NM > NM[-1], 1.0, hats[:, -1])
-    seen = calibration.sensitivities.at(GRID_NM)
-    step = GRID_NM[1] - GRID_NM[0]
-    A = np.einsum("kn,nc,nj->kcj", np.nan_to_num(curve), seen, hats) * step
-
-    from_curves = np.zeros((curve.shape[0], 3))
-
-    def equations(shift_px: float) -> tuple[Normal, Array, Array]:
-        weights = calibration.reading(shift_px)
-        there = np.asarray(np.isfinite(weights).all(axis=1) & np.isfinite(curve).all(axis=1))
-        y, noise = (np.asarray(v)[:, 0] for v in positions([signal], [sigma], np.nan_to_num(weights)))
-        noise = np.where(there[:, None], noise, np.inf)
-        if np.isfinite(noise).any(axis=1).sum() < 3:
-            raise PhoslabError(
-                "shows fewer than three positions that are calibrated and not saturated",
-                file="the session",
-                field="the strip",
-                remedy="Expose it shorter, and calibrate with the strip where it is now.",
-            )
-        belief = np.hypot(BELIEF * y, calibration.curves.misfit * y.max(axis=1, keepdims=True))  # type: ignore[union-attr]
-        total = np.sqrt(noise**2 + belief**2 + from_curves**2)
-        return Normal.of(A.reshape(-1, NM.size), y.ravel(), total.ravel()), y, total
-
-    d = second_differences(NM.size)
-    penalty = d.T @ d
-    first = solve(equations(0.0)[0], penalty)
-    # What the curves' own errors make of that spectrum; they go together over some nanometres, not over a band.
-    errors = np.nan_to_num(calibration.curves.standard_error)
-    from_curves = np.sqrt((errors**2) @ (seen * (hats @ first.x)[:, None]) ** 2 * step * TOGETHER_NM)
-    shift = _shift(equations, penalty, first)
-    normal, y, total = equations(shift)
-    solution = solve(normal, penalty)
+    equations = StripEquations(calibration, light.signal / even[:, None], light.sigma / even[:, None])
+    solution = equations.solve(0.0)
+    shift = equations.shift(solution)
+    for _ in range(_ADAPTED):
+        equations.adapt(solution)
+        solution = equations.solve(shift)
     top = float(solution.x.max())
-    if not top > 3 * float(np.sqrt(solution.covariance[np.argmax(solution.x), np.argmax(solution.x)])):
+    if not (solution.x > 3 * solution.standard_error).any():
         raise PhoslabError(
             "shows no light along the strip that stands out from its noise",
             file="the session",
@@ -269,7 +223,7 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
     value = solution.x / top
     together = np.exp(-0.5 * ((NM[:, None] - NM) / _STRETCH_NM) ** 2)
     long = (UNEVEN if evenness is None else EVEN) ** 2 * np.outer(value, value) * together
-    covariance = solution.covariance / top**2 + long + _smoothed_away(solution.pull / top)
+    covariance = solution.covariance / top**2 + long
     return Spectrum(
         nm=NM,
         value=value,
@@ -279,41 +233,9 @@ def reconstruct(light: StripLight, calibration: Calibration, evenness: Array | N
         shift_px=shift,
         scaled_misfit=solution.scale,
         at_end=solution.at_end,
-        measured=np.where(np.isfinite(total), y, np.nan),
-        predicted=A @ solution.x,
+        measured=equations.measured(shift),
+        predicted=equations.response @ solution.x,
     )
-
-
-def _shift(
-    equations: Callable[[float], tuple[Normal, Array, Array]], penalty: Array, first: Solution
-) -> float:
-    """The shift at which the three colours agree best, as far as they say anything: a parabola through five."""
-    tried = np.linspace(-2.0, 2.0, 9)
-    strength = first.strength
-
-    def badness(shift: float) -> float:
-        normal = equations(shift)[0]
-        M = normal.matrix + strength * penalty
-        x = np.asarray(np.linalg.solve(M, normal.right), float)
-        total = normal.misfit(x) + strength * float(x @ penalty @ x)
-        return total / max(1.0, first.scale) + (shift / _SHIFT_PX) ** 2
-
-    scores = np.array([badness(s) for s in tried])
-    k = int(np.clip(np.argmin(scores), 1, tried.size - 2))
-    a, b, c = scores[k - 1 : k + 2]
-    bend = a - 2 * b + c
-    step = tried[1] - tried[0]
-    return float(np.clip(tried[k] + (0.5 * step * (a - c) / bend if bend > 0 else 0.0), -2.5, 2.5))
-
-
-def _smoothed_away(pull: Array) -> Array:
-    """(n, n) covariance of what smoothing has taken from a spectrum.
-
-    Its size is the root mean square of the pull nearby: where the pull changes sign it is 0, and the error is not.
-    """
-    near = np.exp(-0.5 * ((NM[:, None] - NM) / BENDS_NM) ** 2)
-    size = np.sqrt(near @ pull**2 / near.sum(axis=1))
-    return np.asarray(size[:, None] * near * size)
 
 
 def _evenness(path: Path, calibration: Calibration) -> tuple[Array | None, list[str]]:
@@ -360,6 +282,3 @@ def _overlap(nm: Array, low: float, high: float) -> Array:
     """(n,) weights of values at `nm`, joined by straight lines, in their mean from `low` to `high`."""
     fine = low + (np.arange(200) + 0.5) * (high - low) / 200
     return np.asarray(np.maximum(0.0, 1 - np.abs(fine[:, None] - nm) / (nm[1] - nm[0])).mean(axis=0))
-
-
-__all__ = ["NM", "POSITIONS_NM", "Spectrum", "measure_spectrum", "reconstruct"]

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting import decay, extrapolation, noise
-from phoslab.fitting.decay import MOST_STATES, DecayData, DecayFit, fit_decay
+from phoslab.fitting import decay, decay_problem, extrapolation, noise
+from phoslab.fitting.decay import MOST_STATES, DecayFit, fit_decay
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.extrapolation import Beyond
 from phoslab.fitting.intervals import bootstrap_intervals, rate_intervals
 from phoslab.fitting.other_laws import OtherLaw, fit_other_laws
@@ -212,7 +213,7 @@ def fit_screened(
 def _carries(data: DecayData, n_states: int, *, offset: bool = False, spare: int = 0) -> bool:
     """Whether the data have values enough, in every channel and in all."""
     own = data.used.sum(axis=0)
-    needed = decay.n_parameters(data, n_states, offset=offset, rank_one=False)
+    needed = decay_problem.n_parameters(data, n_states, offset=offset, rank_one=False)
     return bool((own >= n_states + int(offset)).all() and data.n_values >= needed + spare)
 
 

@@ -15,6 +15,7 @@ import stat
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -180,6 +181,7 @@ def _open(folder: Path) -> Session:
         warnings.append(f"{folder / 'journal.jsonl'}: the session was interrupted before its plan was done.")
     warnings += _unlisted(folder, events, complete)  # before the frames: a renamed one is not a missing one
     frames = _read_frames(folder, events)
+    warnings += _at_once(frames, folder / "journal.jsonl")
     # The journal holds the checksum of every frame, so these two files identify the whole session.
     identity = hashlib.sha256(
         hashlib.sha256(header_bytes).digest() + hashlib.sha256(journal_bytes).digest()
@@ -334,6 +336,24 @@ def _read_frames(folder: Path, events: tuple[Event, ...]) -> tuple[Frame, ...]:
             device_s=fields["at_device_s"],
         )
     return tuple(frames.values())
+
+
+def _at_once(frames: tuple[Frame, ...], lines: Path) -> list[str]:
+    """A word on exposures that overlap by more than half of the shorter one: one camera takes one at a time."""
+    order = sorted(frames, key=lambda f: f.start_s)
+    pairs = [
+        (one, other)
+        for one, other in pairwise(order)
+        if one.start_s + one.exposure_s - other.start_s > min(one.exposure_s, other.exposure_s) / 2
+    ]
+    if not pairs:
+        return []
+    one, other = pairs[0]
+    return [
+        f"{lines}: {one.name} and {other.name} were exposed at once by what it says"
+        + (f", and {len(pairs) - 1} more pairs" if len(pairs) > 1 else "")
+        + ": the time of one of them is wrong, and what is fitted to it, too."
+    ]
 
 
 def _sha256(path: Path) -> str:

@@ -31,14 +31,15 @@ def run(args: argparse.Namespace) -> int:
     from phoslab.session import Session
 
     path = args.session[0]
-    if args.report is not None or args.preset is not None or args.bootstrap or args.extrapolate:
+    if args.preset is not None or args.bootstrap or args.extrapolate:
         raise PhoslabError(
             "is a check session, which gives verdicts and no material",
             file=path,
-            field="--report, --preset, --bootstrap or --extrapolate",
-            remedy="Leave them out; the verdicts are printed, and -o writes them as JSON.",
+            field="--preset, --bootstrap or --extrapolate",
+            remedy="Leave them out; the verdicts are printed, -o writes them as JSON, --report as a page.",
         )
-    check_outside([p for p in (args.output,) if p is not None], args.session)
+    outputs = [p for p in (args.output, args.report) if p is not None]
+    check_outside(outputs, args.session)
     calibration = load(args.lvf)[0] if args.lvf is not None else None
     session = Session.open(path)
     with progress_bar("decoding frames", quiet=args.json) as progress:
@@ -48,10 +49,24 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.output:
         write_text(args.output, content + "\n")
+    name = printable(session.header.sample_name)
+    if args.report:
+        from phoslab.app.pages import render
+        from phoslab.fitting.verdict import CHANCE, TOLERATED
+
+        page = render(
+            "verdicts.html",
+            name=name,
+            verdicts=verdicts,
+            chance=CHANCE,
+            tolerated=TOLERATED,
+            simulated=(session.header.simulated or {}).get("statement"),
+        )
+        write_text(args.report, page)
     if args.json:
         print(content)
     else:
-        print(report(verdicts, printable(session.header.sample_name)), end="")
-        if args.output:
-            print(f"Wrote {args.output}")
+        print(report(verdicts, name), end="")
+        if outputs:
+            print(f"Wrote {' and '.join(str(p) for p in outputs)}")
     return 0

@@ -16,9 +16,11 @@ from phoslab.app.pages import render
 from phoslab.files import write_text
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from phoslab.fitting import FitResult
+    from phoslab.fitting.excitation import ExcitationFit
     from phoslab.fitting.result import MeasuredExcitation
 
 _CHANNEL_COLOURS = ("#c0392b", "#1e8449", "#2455a4")
@@ -89,9 +91,7 @@ def _excited(found: MeasuredExcitation) -> list[dict[str, str]]:
             if fit.scale_error[i] < 1
             else f"{fit.a_per_s[i]:.2g}, to a factor only",
             "initial": f"{fit.initial[i]:.3f}",
-            "known": "only the product Λ ke: if ke is larger by a factor, Λ is smaller by it"
-            if fit.product_only[i]
-            else "ke and Λ",
+            "known": "only the product of Λ and ke" if fit.product_only[i] else "ke and Λ",
         }
         for i in range(fit.n_states)
     ]
@@ -194,7 +194,7 @@ def _excitation_figure(found: MeasuredExcitation) -> Figure:
     """The rise of the glow at places under the filter, and the rates by band."""
     from matplotlib.figure import Figure
 
-    from phoslab.fitting.decay import exposed_decay
+    from phoslab.fitting.decay_problem import exposed_decay
 
     fit, data = found.fit, found.series.data
     figure = Figure(figsize=(8, 3.6), layout="constrained")
@@ -229,32 +229,34 @@ def _excitation_figure(found: MeasuredExcitation) -> Figure:
     left.set_xlabel("length of light [s]")
     left.set_ylabel("glow, as a share of the brightest")
     left.legend(frameon=False, fontsize=8)
-    centres, shift = fit.bands.centres_nm, fit.bands.widths_nm / (fit.n_states + 2)
-    for i in range(fit.n_states):
-        x = centres + (i - (fit.n_states - 1) / 2) * shift
-        ke, limit = fit.ke_m2_per_J[i], fit.ke_upper_limit[i]
-        seen = ke > 0
-        error = np.minimum(fit.ke_standard_error[i], 0.9 * ke)
-        right.errorbar(
-            x[seen],
-            ke[seen],
-            error[seen],
-            fmt="o",
-            ms=4,
-            color=f"C{i}",
-            label=f"kr = {fit.kr_per_s[i]:.3g} 1/s",
-        )
-        bound = ~seen & np.isfinite(limit)
-        right.errorbar(
-            x[bound], limit[bound], 0.5 * limit[bound], fmt="_", uplims=True, ms=6, lw=0.8, color=f"C{i}"
-        )
-    right.set_yscale("log")
-    right.set_xlabel("wavelength [nm]")
-    right.set_ylabel("ke [m²/J of the lamp's unit]")
-    right.legend(frameon=False, fontsize=8)
+    _draw_rates(right, fit)
     for axes in (left, right):
         axes.grid(alpha=0.25)
     return figure
+
+
+def _draw_rates(axes: Axes, fit: ExcitationFit) -> None:
+    """Excitation rates by band with their errors and limits: once, where all states have one spectrum."""
+    centres, shift = fit.bands.centres_nm, fit.bands.widths_nm / (fit.n_states + 2)
+    for i in range(1 if fit.common_shape else fit.n_states):
+        ke, error, limit = fit.ke_m2_per_J[i], fit.ke_standard_error[i], fit.ke_upper_limit[i]
+        x, colour, label = centres, "0.2", "every state"
+        if fit.common_shape:
+            ke, error, limit = ke / ke.max(), fit.shape_error[i] * ke / ke.max(), limit / ke.max()
+        else:
+            x = centres + (i - (fit.n_states - 1) / 2) * shift
+            colour, label = f"C{i}", f"kr = {fit.kr_per_s[i]:.3g} 1/s"
+        seen = ke > 0
+        error = np.minimum(error, 0.9 * ke)  # a logarithmic axis has no room for more
+        axes.errorbar(x[seen], ke[seen], error[seen], fmt="o", ms=4, color=colour, label=label)
+        bound = ~seen & np.isfinite(limit)
+        axes.errorbar(
+            x[bound], limit[bound], 0.5 * limit[bound], fmt="_", uplims=True, ms=6, lw=0.8, color=colour
+        )
+    axes.set_yscale("log")
+    axes.set_xlabel("wavelength [nm]")
+    axes.set_ylabel("ke, as a share of the largest" if fit.common_shape else "ke [m²/J of the lamp's unit]")
+    axes.legend(frameon=False, fontsize=8)
 
 
 def data_uri(path: Path) -> str:

@@ -29,11 +29,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="the same scene without the filter (flats for a lamp, decay for a sample): how evenly it is lit",
     )
     parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="also draw it")
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="also write a report to read")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
 
 
 def run(args: argparse.Namespace) -> int:
     import json
+
+    import numpy as np
 
     from phoslab.app.progress import progress_bar
     from phoslab.bands import Bands
@@ -42,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
     from phoslab.fitting.spectrum import measure_spectrum
 
     sessions = [s for s in (args.session, args.flat) if s is not None]
-    check_outside([p for p in (args.output, args.plot) if p is not None], sessions)
+    extra = [p for p in (args.plot, args.report) if p is not None]
+    check_outside([args.output, *extra], sessions)
     calibration, digest = load(args.lvf)
     with progress_bar("decoding frames", quiet=args.json) as progress:
         result = measure_spectrum(args.session, calibration, flat=args.flat, progress=progress)
@@ -51,12 +55,28 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.plot, _plot(result))
     bands = Bands.uniform()
     means, errors = result.band_means(bands)
+    if args.report:
+        from phoslab.app.pages import render
+
+        page = render(
+            "spectrum.html",
+            name=result.session[0],
+            what="the lamp's spectrum" if result.plan == "lamp" else "the spectrum of a glow",
+            result=result,
+            plot=_plot(result),
+            n_positions=int(np.isfinite(result.measured).any(axis=1).sum()),
+            bands=[(bands.label(j), f"{means[j]:.4f} ± {errors[j]:.4f}") for j in range(bands.n)],
+            calibration=args.lvf.name,
+            digest=digest,
+        )
+        write_text(args.report, page)
     if args.json:
         print(
             json.dumps(
                 {
                     "spectrum": str(args.output),
                     "plot": str(args.plot) if args.plot else None,
+                    "report": str(args.report) if args.report else None,
                     "peak_nm": result.peak_nm,
                     "band_edges_nm": bands.edges_nm.tolist(),
                     "band_means": means.tolist(),
@@ -82,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         lines.append("[[Warnings]]")
         lines += [f"    - {w}" for w in result.warnings]
     print("\n".join(lines))
-    print(f"Wrote {args.output}" + (f" and {args.plot}" if args.plot else ""))
+    print(f"Wrote {', '.join(str(p) for p in (args.output, *extra))}")
     return 0
 
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from phoslab.bands import Bands
 from phoslab.fitting.charging import LampCourse, Steps, Table
-from phoslab.fitting.decay import DecayData
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.excitation import ExcitationFit, fit_excitation
 from phoslab.fitting.excitation_model import Charge, ExcitationData
 from phoslab.fitting.light import Shapes

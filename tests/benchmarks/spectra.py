@@ -1,17 +1,19 @@
-"""Spectra through the LVF against the truth: 24 ColorChecker patches (Nalbach 2017, Fig. 8.8) and 263 colour filters.
+"""Spectra through the LVF against the truth: colour filters, ColorChecker patches (Nalbach 2017, Fig. 8.8), glows.
 
     python tests/benchmarks/spectra.py FOLDER
 
-FOLDER holds, or is given, a `flats` session and an `lvf` session of the simulated bench with every known filter.
-The calibration sees 14 of them. Errors are root mean squares over 420..680 nm, relative to the spectrum's own;
-coverage is the share of wavelengths there at which the truth lies within 1 and 2 of the stated standard errors.
+FOLDER holds, or is given, a `flats` session and an `lvf` session of the simulated bench with all 263 known filters, of
+which the calibration sees 14, and an `emission` session of each of the bench's paints. Their glows are solved as they
+are, and with noise added, a share of the brightest value along the strip. Errors are root mean squares over
+420..680 nm, relative to the spectrum's own; coverage is the share of wavelengths there at which the truth lies within 1
+and 2 of the stated standard errors.
 """
 
 from __future__ import annotations
 
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +22,16 @@ from phoslab.app.cli import main
 from phoslab.app.simulation import FILTERS
 from phoslab.fitting import lvf
 from phoslab.fitting.filters import transmission
+from phoslab.fitting.find_strip import follow_strip
 from phoslab.fitting.spectrum import NM, Spectrum, reconstruct
 from phoslab.fitting.strip_light import read_light
 from phoslab.instruments.bench import darkroom, lights
 from phoslab.instruments.bench.dng import write_dng
+from phoslab.instruments.bench.paints import paint
+from phoslab.raw import preview
 from phoslab.session import Frame, Session
 
+PAINTS = ("blue", "green", "orange", "pink", "purple", "red", "white", "yellow")
 SEEN = (NM >= 420) & (NM <= 680)
 
 
@@ -78,6 +84,35 @@ def patches(folder: Path) -> tuple[Part, list[str]]:
     return Part(folder, tuple(frames)), names
 
 
+def glows(folder: Path, calibration: lvf.Calibration) -> None:
+    """Spectra of glowing paints whose unevenness is not known, at several levels of noise."""
+    found: dict[str, dict[str, tuple[float, np.ndarray]]] = {}
+    for k, name in enumerate(PAINTS):
+        path = folder / f"glow-{name}"
+        if not path.exists():
+            command = ["measure", "emission", "--simulate", name, "-o", str(path), "--charge", "600"]
+            main([*command, "--seed", str(20 + k), "--json"])
+        session = Session.open(path)
+        frames = [f for f in session.frames_of("emission") if f.start_s >= (session.lamp_off_s or 0.0)]
+        strip, _ = follow_strip(preview(frames[0].path), calibration.strip)
+        for share in (0.0, 1 / 100, 1 / 30, 1 / 10):
+            lights_of, _ = read_light(
+                session, frames if share == 0 else frames[:1], strip, calibration.settings
+            )
+            light, rng = lights_of[0], np.random.default_rng([k, round(1e4 * share)])
+            noise = share * float(light.signal.max())
+            noisy = replace(
+                light,
+                signal=light.signal + rng.normal(0, noise, light.signal.shape) if share else light.signal,
+                sigma=np.hypot(light.sigma, noise),
+            )
+            kind = f"glows with noise of {share:.0%} of the brightest" if share else "glows"
+            truth = paint(name).emission(NM)
+            found.setdefault(kind, {})[name] = miss(reconstruct(noisy, calibration), truth)
+    for kind, misses in found.items():
+        report(kind, misses)
+
+
 def report(kind: str, misses: dict[str, tuple[float, np.ndarray]]) -> None:
     errors = {name: relative for name, (relative, _) in misses.items()}
     off = np.concatenate([standard for _, standard in misses.values()])
@@ -123,6 +158,7 @@ def run(folder: Path) -> None:
             found = reconstruct(lights_of[0], calibration, evenness)
             misses[name] = miss(found, led * np.interp(NM, darkroom.NM, reflectance[name]))
         report("ColorChecker", misses)
+    glows(folder, calibration)
 
 
 if __name__ == "__main__":

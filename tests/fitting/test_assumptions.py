@@ -7,7 +7,7 @@ import pytest
 
 from phoslab.app import cli
 from phoslab.fitting import assumptions
-from phoslab.fitting.decay import DecayData
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.parts import SessionPart
 from phoslab.fitting.verdict import CHANCE, Misfit, judge
 from phoslab.session import Session
@@ -151,12 +151,22 @@ def test_a_check_session_is_read_as_text_by_a_person(short_check, capsys):
     assert "not tested" in text
 
 
+def test_a_check_session_has_a_page_with_every_verdict(short_check, tmp_path, capsys):
+    page, told = tmp_path / "check.html", tmp_path / "check.json"
+    assert cli.main(["fit", str(short_check), "-o", str(told), "--report", str(page)]) == 0
+    assert str(page) in capsys.readouterr().out
+    text = page.read_text()
+    for verdict in json.loads(told.read_text())["assumptions"]:
+        assert verdict["claim"] in text
+        assert verdict["verdict"] in text
+
+
 def test_a_session_of_another_plan_is_no_check(green_decay):
     with pytest.raises(Exception, match="is of the plan 'decay'"):
         assumptions.check_assumptions(Session.open(green_decay))
 
 
 def test_a_material_is_not_made_of_a_check_session(short_check, tmp_path, capsys):
-    assert cli.main(["fit", str(short_check), "--report", str(tmp_path / "r.html")]) == 1
+    assert cli.main(["fit", str(short_check), "--preset", "green", "--report", str(tmp_path / "r.html")]) == 1
     assert "gives verdicts and no material" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting.decay import DecayData, fit_decay
+from phoslab.fitting.decay import fit_decay
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.holdout import hold_out
 from phoslab.fitting.selection import select
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phoslab.fitting import decay
-from phoslab.fitting.decay import DecayData, fit_decay
+from phoslab.fitting import decay_problem
+from phoslab.fitting.decay import fit_decay
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.intervals import _Profile, bootstrap_intervals
 
 
@@ -16,7 +17,7 @@ def test_the_search_for_an_end_that_is_not_there_comes_to_an_end():
     signal = np.exp(-0.3 * t_s)[:, None]
     data = DecayData(t_s, np.zeros(12), signal, np.full((12, 1), 1e-3), channels=("G",))
     fit = fit_decay(data, 1)
-    stated = decay.problem(data, 1, offset=False, rank_one=fit.rank_one)
+    stated = decay_problem.problem(data, 1, offset=False, rank_one=fit.rank_one)
     for best in np.random.default_rng(0).uniform(-2.0, 0.0, 200):
         theta = fit.theta.copy()
         theta[0] = best

@@ -155,7 +155,32 @@ def test_a_file_gives_back_the_same_numbers(calibration, tmp_path):
     assert np.array_equal(again.map.coefficients_nm, calibration.map.coefficients_nm)
     assert again.strip == calibration.strip
     assert again.settings == calibration.settings
+    assert np.array_equal(again.curves.covariance, calibration.curves.covariance, equal_nan=True)
     assert len(digest) == 64
+
+
+def test_a_file_that_holds_no_covariance_still_tells_a_spectrum(calibration, lamp_session, tmp_path):
+    """Files of before it was kept: the curves' errors count as unrelated, and the spectrum is smoother."""
+    save(calibration, tmp_path / "lvf.json")
+    data = json.loads((tmp_path / "lvf.json").read_text())
+    del data["curves"]["covariance"], data["curves"]["nodes"]
+    (tmp_path / "old.json").write_text(json.dumps(data))
+    old, _ = load(tmp_path / "old.json")
+    assert old.curves.covariance is None
+    found, known = (measure_spectrum(lamp_session, c) for c in (old, calibration))
+    seen = (NM >= 430) & (NM <= 670)
+    error = np.hypot(found.standard_error, known.standard_error)[seen]
+    assert (np.abs(found.value - known.value)[seen] < 2 * error).all()
+
+
+def test_a_covariance_that_is_none_is_refused(calibration, tmp_path):
+    save(calibration, tmp_path / "lvf.json")
+    data = json.loads((tmp_path / "lvf.json").read_text())
+    whole = next(c for c in data["curves"]["covariance"] if c is not None)
+    whole[0] = -1.0
+    (tmp_path / "bad.json").write_text(json.dumps(data))
+    with pytest.raises(PhoslabError, match="some variance is negative"):
+        load(tmp_path / "bad.json")
 
 
 def test_a_missing_line_costs_accuracy_and_not_the_calibration(lvf_session, tmp_path):
@@ -246,6 +271,11 @@ def test_the_commands_write_what_they_say(lvf_session, lamp_session, tmp_path, c
     assert "[[Wavelengths]]" in capsys.readouterr().out
     assert main(["spectrum", str(lamp_session), "--lvf", str(lvf), "-o", str(table), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
+    page = str(tmp_path / "lamp.html")
+    arguments = ["spectrum", str(lamp_session), "--lvf", str(lvf), "-o", str(table), "--report", page]
+    assert main(arguments) == 0
+    assert page in capsys.readouterr().out
+    assert f"It is highest at {said['peak_nm']:.0f} nm" in (tmp_path / "lamp.html").read_text()
     rows = np.array([[float(x) for x in r.split(",")] for r in table.read_text().splitlines() if r[0] != "#"])
     assert np.array_equal(rows[:, 0], NM)
     assert rows[:, 1].max() == 1.0

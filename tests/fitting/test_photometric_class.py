@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phoslab.app import cli
-from phoslab.fitting.decay import DecayData
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.photometric_class import STANDARDS, Excitation, classify, din_label, measured
 
 XENON, TUBE, DIM = Excitation(1000, 300), Excitation(200, 1200), Excitation(25, 900)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phoslab.fitting.decay import DecayData, fit_decay
+from phoslab.fitting.decay import fit_decay
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.pixel_decay import Flag, PixelNoise, PixelProblem, fit_pixels
 
 T = np.arange(37) * 5.0

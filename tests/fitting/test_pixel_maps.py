@@ -9,7 +9,8 @@ from phoslab import maps
 from phoslab.errors import PhoslabError
 from phoslab.exr import read_channels
 from phoslab.fitting import fit_session, pixel_frames
-from phoslab.fitting.decay import DecayData, fit_decay
+from phoslab.fitting.decay import fit_decay
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.pixel_decay import Flag
 from phoslab.fitting.pixel_frames import PixelFrames, stored
 from phoslab.fitting.pixel_maps import fit_maps, write_maps

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting.decay import DecayData, fit_decay
+from phoslab.fitting.decay import fit_decay
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.intervals import rate_intervals
 from phoslab.fitting.noise import law_of
 from phoslab.fitting.screening import Screened

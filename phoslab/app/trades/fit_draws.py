@@ -18,7 +18,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.fitting.decay import DecayData, DecayFit, exposed_decay, fit_decay
+from phoslab.fitting.decay import DecayFit, fit_decay
+from phoslab.fitting.decay_data import DecayData
+from phoslab.fitting.decay_problem import exposed_decay
 from phoslab.fitting.intervals import rate_intervals
 from phoslab.fitting.screening import Screened
 from phoslab.fitting.table_fit import fit_screened

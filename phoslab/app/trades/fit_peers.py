@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.app.trades import strd
-from phoslab.fitting.decay import DecayData
+from phoslab.fitting.decay_data import DecayData
 
 Array = NDArray[np.float64]
 
