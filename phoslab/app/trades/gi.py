@@ -195,7 +195,8 @@ class _Bench:
         renderer = self._renderer(method, setting)
         transport, device = renderer.transport, self._device
         assert transport is not None
-        first, again = [], []
+        first: list[float] = []
+        again: list[float] = []
         while len(first) < self._runs and sum(first) < LONG_S:
             device.ctx.finish()
             begin = time.perf_counter()
