@@ -208,6 +208,12 @@ def _calibration(data: dict[str, Any]) -> Calibration:
     )
 
 
+# Of a covariance: a file has 31 times a thousand numbers. What they round off moves a variance by less than this share
+# of the largest.
+DIGITS = 7
+ROUNDED = 1e-5
+
+
 def _covariance_listed(covariance: Array | None) -> dict[str, Any]:
     """The fields that hold the curves' covariance; none where it is not known."""
     if covariance is None:
@@ -215,7 +221,9 @@ def _covariance_listed(covariance: Array | None) -> dict[str, Any]:
     lower = np.tril_indices(covariance.shape[1])
     return {
         "nodes": X_NM.tolist(),
-        "covariance": [None if np.isnan(c).any() else c[lower].tolist() for c in covariance],
+        "covariance": [
+            None if np.isnan(c).any() else [float(f"{v:.{DIGITS}g}") for v in c[lower]] for c in covariance
+        ],
     }
 
 
@@ -234,9 +242,10 @@ def _covariance(curves: dict[str, Any]) -> Array | None:
                 raise ValueError("the curves' covariance")
             covariance[k][lower] = values
             covariance[k].T[lower] = values
-            known = np.linalg.eigvalsh(covariance[k])
-            if known[0] < -1e-9 * known[-1]:
+            known, along = np.linalg.eigh(covariance[k])
+            if known[0] < -ROUNDED * known[-1]:
                 raise ValueError("the curves' covariance, in which some variance is negative")
+            covariance[k] = along * np.maximum(known, 0.0) @ along.T
     return covariance
 
 

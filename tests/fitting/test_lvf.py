@@ -155,7 +155,9 @@ def test_a_file_gives_back_the_same_numbers(calibration, tmp_path):
     assert np.array_equal(again.map.coefficients_nm, calibration.map.coefficients_nm)
     assert again.strip == calibration.strip
     assert again.settings == calibration.settings
-    assert np.array_equal(again.curves.covariance, calibration.curves.covariance, equal_nan=True)
+    kept = calibration.curves.covariance
+    # To seven digits, and what those make negative is 0 again: a share of 45 x 5e-8 of the largest at most.
+    np.testing.assert_allclose(again.curves.covariance, kept, rtol=0, atol=3e-6 * np.nanmax(np.abs(kept)))
     assert len(digest) == 64
 
 
