@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.render.device import Device, read_texture, set_uniforms
-from phoslab.render.directions import patterned_points
+from phoslab.render.directions import mixed_points
 from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import Surroundings, TransportParameters
 from phoslab.render.guides import GUIDES, make_guides
@@ -74,8 +74,7 @@ class BouncedZBuffer:
         self._pixels = GlowPixels(device, surroundings, Extent.of(surroundings.drawables), looks=aimless)
         self.lit_cells = LitCells(device, surroundings, parameters) if parameters.follows_cells else None
         self._made: list[Any] = []
-        points = [patterned_points(pattern, m, seed) for seed, m in enumerate((aimless, aimed)) if m]
-        self._points = device.buffer(np.concatenate(points, axis=2).astype(np.float32))
+        self._points = device.buffer(mixed_points(pattern, aimless, aimed).astype(np.float32))
         self._hits, self._looks = device.reserve(w * h * n * 4), device.reserve(w * h * n * 8)
         self._guides = device.reserve(GUIDES * 32)
         self._directions = {"DIRECTIONS": n}

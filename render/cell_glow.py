@@ -12,14 +12,11 @@ from numpy.typing import NDArray
 from phoslab.render.atlas_glow import AtlasGlow
 from phoslab.render.cell_light import CellLight
 from phoslab.render.cells import Cells, Patches
-from phoslab.render.device import Device, read_texture, set_uniforms
+from phoslab.render.device import LOOP_TURNS, Device, read_texture, set_uniforms
 from phoslab.render.optics import layer_count
 from phoslab.render.passes import Picture
 
 Array = NDArray[np.float64]
-
-# Texels of a cell that are added at a time: Mesa's llvmpipe ends all loops of a shader after 65535 turns, silently.
-PART = 1 << 15
 
 
 class CellGlow:
@@ -43,7 +40,7 @@ class CellGlow:
             np.zeros((len(cells.leaf_areas), self._layers, 4), dtype=np.float32)
         )
         self.radiances = device.buffer(np.zeros((len(cells.skip), 2, self._layers, 4), dtype=np.float32))
-        self._program = device.compute(self.name, {"LAYERS": self._layers, "PART": PART})
+        self._program = device.compute(self.name, {"LAYERS": self._layers, "PART": LOOP_TURNS})
         self._lists = [
             _list_texels(device, glow, cells.patches[glow.drawable.number])
             for glow in glows
@@ -71,7 +68,7 @@ class CellGlow:
             texels.texels.bind_to_storage_buffer(1)
             self._leaf_radiances.bind_to_storage_buffer(2)
             set_uniforms(self._program, radiance=0, first=texels.first, count=texels.count)
-            for part in range(0, texels.most, PART):
+            for part in range(0, texels.most, LOOP_TURNS):
                 set_uniforms(self._program, part=part)
                 self._device.dispatch_items(self._program, texels.count)
         leaves = np.frombuffer(self._leaf_radiances.read(), dtype="f4").astype(np.float64)

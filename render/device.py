@@ -38,6 +38,8 @@ RENDERABLE = {1: 1, 2: 2, 3: 4, 4: 4}
 GROUP = (8, 8)  # the local size of compute shaders that do not say otherwise
 ITEMS = 64  # that of shaders that go over items
 MOST_GROUPS = 65535  # along a side of what is dispatched: what every device takes
+# Of a loop in a shader at a time: Mesa's llvmpipe ends all loops together after 65535 turns, silently.
+LOOP_TURNS = 1 << 15
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"\n', re.MULTILINE)
 

@@ -38,6 +38,15 @@ def patterned_points(side: int, per_place: int, seed: int = 0) -> Array:
     return each
 
 
+def mixed_points(side: int, aimless: int, aimed: int) -> Array:
+    """Return (side, side, aimless + aimed, 2) the points of a pixel's directions: first of those that do not aim.
+
+    Each kind is even on its own, as `patterned_points` has it.
+    """
+    kinds = [patterned_points(side, n, seed) for seed, n in enumerate((aimless, aimed)) if n]
+    return np.concatenate(kinds, axis=2)
+
+
 def on_hemisphere(points: Array) -> Array:
     """Return (..., 3) the directions about +z of (..., 2) points of the unit square: as the shader has them."""
     u, v = np.moveaxis(points, -1, 0)

@@ -26,6 +26,7 @@ class GlowPixels:
 
     Attributes:
         extent: where the scene lies.
+        guide: what tells the filter of shadows' edges, light and its variance a pixel; as made, all pixels are alike.
     """
 
     def __init__(self, device: Device, surroundings: Surroundings, extent: Extent, looks: int = 1) -> None:
@@ -35,9 +36,7 @@ class GlowPixels:
         layers = layer_count(self._n_bands)
         self.light, self._spare = (device.texture_array((w, h), layers) for _ in range(2))
         self.nearness = device.buffer(np.full(w * h, FAR, dtype=np.float32))
-        # Light and its variance, by which tiles tell the filter of shadows' edges: holes between disks would look like
-        # edges, so that all pixels are alike here.
-        self._no_edges = device.buffer(np.zeros((w * h, 2), dtype=np.float32))
+        self.guide = device.buffer(np.zeros((w * h, 2), dtype=np.float32))
         self._defines = {"SUPERSAMPLING": surroundings.supersampling, "LAYERS": layers}
         self._looks = {"AIMLESS": looks}
 
@@ -61,7 +60,7 @@ class GlowPixels:
         """Share light over `radius` pixels to each side, less far where something stands near."""
         shader = self._device.compute("glow_filter", {**self._defines, **self._looks, "RADIUS": radius})
         self.nearness.bind_to_storage_buffer(0)
-        self._no_edges.bind_to_storage_buffer(1)
+        self.guide.bind_to_storage_buffer(1)
         for along in ((1, 0), (0, 1)):
             self._swap(shader, along)
 

@@ -1,7 +1,7 @@
-"""The smallest cells of a scene, and what they send on: how light goes from surface to surface before it is seen.
+"""The cells of a scene as it stands, and what they send on: how light goes from surface to surface before it is seen.
 
-For the ways that splat surfels, which themselves bring light to the camera alone: surfels then send what the cells
-around them reflect, besides what glows there.
+The ways that splat surfels, which themselves bring light to the camera alone, need them for that only: surfels then
+send what the cells around them reflect, besides what glows there.
 """
 
 from __future__ import annotations
@@ -31,14 +31,16 @@ class LitCells:
     """Cells, what they emit, and what they reflect.
 
     Attributes:
-        tree, cell_glow, cell_light: as `place` made them.
+        cells, cell_glow: as `place` made them.
+        tree, cell_light: the same; None where light does not go from cell to cell.
         n_bands: of the scene.
         drawables: in the order in which cells have them.
     """
 
-    tree: CellTree
+    cells: Cells
     cell_glow: CellGlow
-    cell_light: CellLight
+    tree: CellTree | None = None
+    cell_light: CellLight | None = None
 
     def __init__(self, device: Device, surroundings: Surroundings, parameters: TransportParameters) -> None:
         self._device, self._around, self._parameters = device, surroundings, parameters
@@ -54,18 +56,21 @@ class LitCells:
             return
         if self._placed:
             for made in (self.cell_glow, self.cell_light, self.tree):
-                made.release()
+                if made is not None:
+                    made.release()
         self._placed = placed
-        cells = build_cells(around.drawables, p.cell)
-        self.cell_glow = CellGlow(device, cells, around.glows, self.n_bands)
-        self.tree = CellTree(device, cells)
-        atlases = {g.drawable.number: a for g, a in zip(around.glows, around.atlases, strict=True)}
-        reflectances = leaf_reflectances(cells, around.drawables, atlases)
-        lamps = around.lamps if p.lamps else None
-        self.cell_light = CellLight(device, self.tree, reflectances, self.n_bands, p.bounces, lamps)
+        self.cells = build_cells(around.drawables, p.cell)
+        self.cell_glow = CellGlow(device, self.cells, around.glows, self.n_bands)
+        if p.follows_cells:
+            atlases = {g.drawable.number: a for g, a in zip(around.glows, around.atlases, strict=True)}
+            self.tree = CellTree(device, self.cells)
+            reflectances = leaf_reflectances(self.cells, around.drawables, atlases)
+            lamps = around.lamps if p.lamps else None
+            self.cell_light = CellLight(device, self.tree, reflectances, self.n_bands, p.bounces, lamps)
 
     def reflected(self) -> Array:
         """Return (m, 2, 4 layers) the radiance that the front and the back of each smallest cell reflect."""
+        assert self.cell_light is not None
         emitted = self.cell_glow.emitted()
         total = self.cell_light.spread(emitted)
         total[:, 0] -= emitted

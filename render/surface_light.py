@@ -8,7 +8,6 @@ of its beginning. The error falls with the step.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -16,12 +15,10 @@ from phoslab.errors import PhoslabError
 from phoslab.render.atlas_gather import AtlasGather
 from phoslab.render.atlas_glow import AtlasGlow
 from phoslab.render.bounced_z_buffer import BouncedZBuffer
-from phoslab.render.cell_glow import CellGlow
-from phoslab.render.cell_light import CellLight
-from phoslab.render.cell_rays import CellTree
 from phoslab.render.deep_screen_space import DeepScreenSpace
 from phoslab.render.device import Device
 from phoslab.render.glow_transport import GlowTransport, TransportParameters
+from phoslab.render.lit_cells import LitCells
 from phoslab.render.phosphor_state import PhosphorState
 from phoslab.render.scene import Scene
 from phoslab.render.tiles import Tiles
@@ -29,27 +26,7 @@ from phoslab.render.tiles import Tiles
 # A concentration that glow may bring and nobody would see.
 NEGLIGIBLE = 1e-4
 # The ways that know what surfaces send to each other.
-FOLLOWING = (Tiles.name, DeepScreenSpace.name, BouncedZBuffer.name)
-
-
-class FollowedCells(Protocol):
-    """The smallest cells of a scene, and what they send to each other."""
-
-    @property
-    def n_bands(self) -> int: ...
-
-    @property
-    def tree(self) -> CellTree | None: ...
-
-    @property
-    def cell_glow(self) -> CellGlow: ...
-
-    @property
-    def cell_light(self) -> CellLight | None: ...
-
-    def place(self) -> None:
-        """Make them anew where things have moved."""
-        ...
+FOLLOWING = (Tiles, DeepScreenSpace, BouncedZBuffer)
 
 
 def exciting_glow(scene: Scene, parameters: TransportParameters) -> tuple[tuple[str, ...], bool]:
@@ -62,9 +39,10 @@ def exciting_glow(scene: Scene, parameters: TransportParameters) -> tuple[tuple[
     """
     if not (parameters.excites or parameters.lamps):
         return (), False
-    if parameters.method not in FOLLOWING:
+    names = [way.name for way in FOLLOWING]
+    if parameters.method not in names:
         raise PhoslabError(
-            f"charge and light surfaces by --gi {', '.join(FOLLOWING)} only",
+            f"charge and light surfaces by --gi {', '.join(names)} only",
             field="--glow-excites and --lamp-bounces",
             remedy=f"Add --gi {Tiles.name}.",
         )
@@ -96,7 +74,7 @@ class SurfaceLight:
     def __init__(
         self,
         device: Device,
-        cells: FollowedCells,
+        cells: LitCells,
         glows: Sequence[AtlasGlow],
         states: Sequence[PhosphorState],
         lamps: bool,
@@ -116,14 +94,10 @@ class SurfaceLight:
         parameters: TransportParameters,
     ) -> SurfaceLight | None:
         """Return it where light of surfaces is to charge phosphors."""
-        cells: FollowedCells | None = None
-        if isinstance(transport, Tiles):
-            cells = transport
-        elif isinstance(transport, DeepScreenSpace | BouncedZBuffer):
-            cells = transport.lit_cells
-        if cells is None or not (parameters.lamps or parameters.excites):
+        if not isinstance(transport, FOLLOWING) or not (parameters.lamps or parameters.excites):
             return None
-        return cls(device, cells, glows, states, parameters.lamps)
+        assert transport.lit_cells is not None
+        return cls(device, transport.lit_cells, glows, states, parameters.lamps)
 
     def place(self) -> None:
         """Find what the atlases see of the cells where these have been made anew."""

@@ -56,7 +56,7 @@ class SurfelGlow:
         ]
         self._lit, self.sides = lit, 1 if lit is None else 2
         if lit is not None:
-            self._around = cells_around(lit.tree.cells, lit.drawables, surfels.read())
+            self._around = cells_around(lit.cells, lit.drawables, surfels.read())
         empty = np.zeros((surfels.count, self.sides, self._layers, 4), dtype=np.float32)
         self.radiances = device.buffer(empty)
         self.glow = 0.0

@@ -28,24 +28,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.render.cell_glow import CellGlow
-from phoslab.render.cell_light import CellLight, leaf_reflectances
-from phoslab.render.cell_rays import CellTree
-from phoslab.render.cells import build_cells
-from phoslab.render.device import Device, read_array, set_uniforms
-from phoslab.render.directions import patterned_points
+from phoslab.render.cells import Cells
+from phoslab.render.device import LOOP_TURNS, Device, set_uniforms
+from phoslab.render.directions import mixed_points
+from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import Surroundings, TransportParameters
+from phoslab.render.lit_cells import LitCells
 from phoslab.render.memory import check_room
 from phoslab.render.optics import layer_count, to_layers
-from phoslab.render.passes import Picture, false_grey
+from phoslab.render.passes import Picture
+from phoslab.render.surfels import Extent
 
 TILE = 16  # pixels along a side; as in shaders/include/tiles.glsl
 GROUP_FLOATS = 12
 # Directions that a shader holds in registers: measured on llvmpipe, 32 at once take ten times as long as 4 times 8.
 BATCH = 8
-# Rounds of a loop in a shader, of the 65535 after which llvmpipe ends it without a word.
-STAGE = 32768
-LONGEST_LIST = 65000
+LONGEST_LIST = 65000  # of a tile's cells: a loop over it must end of itself (`LOOP_TURNS`)
 
 
 class Tiles:
@@ -65,40 +63,32 @@ class Tiles:
     def __init__(self, device: Device, surroundings: Surroundings, parameters: TransportParameters) -> None:
         self._device, self._around, self._parameters = device, surroundings, parameters
         w, h = surroundings.size
-        self.n_bands = surroundings.scene.transport.n
         self._tiles = (-(-w // TILE), -(-h // TILE))
         check_room(w * h * parameters.directions * 8, "what a picture's directions hit")
         self._hits = device.buffer(np.zeros((w * h * parameters.directions, 2), dtype=np.uint32))
-        self._nearness = device.buffer(np.zeros(w * h, dtype=np.float32))
-        self._guide = device.buffer(np.zeros((w * h, 2), dtype=np.float32))
-        layers = layer_count(self.n_bands)
-        self._light, self._spare = (device.texture_array((w, h), layers) for _ in range(2))
-        self._placed: list[bytes] = []
-        self.cell_glow: CellGlow
-        self.tree: CellTree | None = None
-        self.cell_light: CellLight | None = None
-        self._pattern = max(1, parameters.filter_px)
+        self.lit_cells = LitCells(device, surroundings, parameters)
+        pattern = max(1, parameters.filter_px)
         aimed = round(parameters.directions * parameters.guided)
         aimless = parameters.directions - aimed
-        points = [patterned_points(self._pattern, n, seed) for seed, n in enumerate((aimless, aimed)) if n]
-        self._points = device.buffer(np.concatenate(points, axis=2).astype(np.float32))
+        self._pixels = GlowPixels(device, surroundings, Extent.of(surroundings.drawables), looks=aimless)
+        self._points = device.buffer(mixed_points(pattern, aimless, aimed).astype(np.float32))
         self._defines = {
             "SUPERSAMPLING": surroundings.supersampling,
             "DIRECTIONS": parameters.directions,
             "AIMLESS": aimless,
             "BATCH": min(BATCH, parameters.directions),
-            "PATTERN": self._pattern,
-            "LAYERS": layers,
-            "RADIUS": parameters.filter_px,
+            "PATTERN": pattern,
+            "LAYERS": layer_count(surroundings.scene.transport.n),
         }
 
-    def _program(self, name: str, *defines: str, **more: int) -> moderngl.ComputeShader:
+    def _program(self, name: str, *defines: str) -> moderngl.ComputeShader:
         """Return a shader with those of the defines that it uses: fewer variants are built."""
-        return self._device.compute(name, {**{d: self._defines[d] for d in defines}, **more})
+        return self._device.compute(name, {d: self._defines[d] for d in defines})
 
     def prepare(self) -> None:
         """Make the cells, and find what every ray meets."""
-        self.place()
+        self.lit_cells.place()
+        self._pixels.extent = Extent.of(self._around.drawables)
         # Built before the scope, so that they outlive it: while things move, this is done for every picture.
         self._hit_shader = self._program(
             "tile_hits", "SUPERSAMPLING", "DIRECTIONS", "AIMLESS", "PATTERN", "BATCH"
@@ -117,36 +107,14 @@ class Tiles:
             self._find_hits(groups, walk, *chosen)
             self._find_guide(walk)
 
-    def place(self) -> None:
-        """Make the cells, and find what they see of each other, where drawables have moved since the last time."""
-        around, p, device = self._around, self._parameters, self._device
-        placed = [d.drawable.model_to_world.tobytes() for d in around.drawables]
-        if placed == self._placed:
-            return
-        if self._placed:
-            for made in (self.cell_glow, self.cell_light, self.tree):
-                if made is not None:
-                    made.release()
-        self._placed = placed
-        self.cells = build_cells(around.drawables, p.cell)
-        self.cell_glow = CellGlow(device, self.cells, around.glows, self.n_bands)
-        self.cell_light = self.tree = None
-        if p.follows_cells:
-            atlases = {g.drawable.number: a for g, a in zip(around.glows, around.atlases, strict=True)}
-            self.tree = CellTree(device, self.cells)
-            reflectances = leaf_reflectances(self.cells, around.drawables, atlases)
-            lamps = around.lamps if p.lamps else None
-            self.cell_light = CellLight(device, self.tree, reflectances, self.n_bands, p.bounces, lamps)
-
-    def _bind_receivers(self, shader: moderngl.ComputeShader) -> None:
-        self._around.gbuffer.position_w.use(0)
-        self._around.gbuffer.normal_w.use(1)
-        to_cells = (*self.cells.centre.tolist(), 1.0 / self.cells.radius)
-        set_uniforms(shader, position_w=0, normal_w=1, to_cells=to_cells)
+    @property
+    def cells(self) -> Cells:
+        """The scene's, as it stands."""
+        return self.lit_cells.cells
 
     def _bound_groups(self, groups: moderngl.Buffer) -> None:
         shader = self._group_shader
-        self._bind_receivers(shader)
+        self._pixels.bind_receivers(shader)
         groups.bind_to_storage_buffer(0)
         set_uniforms(shader, tiles=self._tiles)
         self._device.dispatch(shader, (self._tiles[0] * self._tiles[1], 1), group=(64, 1))
@@ -169,7 +137,7 @@ class Tiles:
                 buffer.bind_to_storage_buffer(k)
             set_uniforms(shader, group_count=n_groups, detail=self._parameters.detail)
             n_cells = len(self.cells.skip)
-            for end in range(STAGE, n_cells + STAGE, STAGE):
+            for end in range(LOOP_TURNS, n_cells + LOOP_TURNS, LOOP_TURNS):
                 set_uniforms(shader, stage_end=min(end, n_cells))
                 device.dispatch(shader, (n_groups, 1), group=(16, 1))
             if not fill:
@@ -193,9 +161,9 @@ class Tiles:
         guides: moderngl.Buffer,
     ) -> None:
         shader = self._hit_shader
-        self._bind_receivers(shader)
+        self._pixels.bind_receivers(shader)
         tests = self._device.buffer(self.cells.tests())
-        made = (self._points, self._hits, self._nearness)
+        made = (self._points, self._hits, self._pixels.nearness)
         for k, buffer in enumerate((groups, tests, ends, lists, *made, guides, walk)):
             buffer.bind_to_storage_buffer(k)
         set_uniforms(shader, tiles=self._tiles)
@@ -208,8 +176,8 @@ class Tiles:
         size = self._around.size
         rough = self._device.buffer(np.zeros((size[0] * size[1], 2), dtype=np.float32))
         judge, smooth = self._guide_shaders
-        self._bind_receivers(smooth)
-        for shader, buffers in ((judge, (self._hits, walk, rough)), (smooth, (rough, self._guide))):
+        self._pixels.bind_receivers(smooth)
+        for shader, buffers in ((judge, (self._hits, walk, rough)), (smooth, (rough, self._pixels.guide))):
             for k, buffer in enumerate(buffers):
                 buffer.bind_to_storage_buffer(k)
             set_uniforms(shader, size=size)
@@ -223,63 +191,26 @@ class Tiles:
 
     def run(self, radiance: moderngl.TextureArray) -> None:
         """Add what every sample reflects of the glow that its pixel's directions meet."""
-        self.cell_glow.run(self.cell_light)
-        if self.cell_glow.glow == 0.0:
+        cell_glow = self.lit_cells.cell_glow
+        cell_glow.run(self.lit_cells.cell_light)
+        if cell_glow.glow == 0.0:
             return
         shader = self._program("tile_light", "DIRECTIONS", "LAYERS")
         self._hits.bind_to_storage_buffer(0)
-        self.cell_glow.radiances.bind_to_storage_buffer(1)
-        self._light.bind_to_image(0, read=False, write=True)
+        cell_glow.radiances.bind_to_storage_buffer(1)
+        self._pixels.light.bind_to_image(0, read=False, write=True)
         self._device.dispatch(shader, self._around.size)
-        self._share(radiance, self.cell_glow.glow)
+        self._share(radiance, cell_glow.glow)
 
     def reflect(self, light: NDArray[np.float32], radiance: moderngl.TextureArray) -> None:
         """Add what every sample reflects of (h, w, K) light, E / π a pixel, top row first, filtered as ours is."""
-        self._light.write(to_layers(light[::-1]).astype("f4").tobytes())
+        self._pixels.light.write(to_layers(light[::-1]).astype("f4").tobytes())
         self._share(radiance, 1.0)
 
     def _share(self, radiance: moderngl.TextureArray, glow: float) -> None:
         if self._parameters.filter_px:
-            self._filter()
-        self._reflect(radiance, glow)
-
-    def _filter(self) -> None:
-        shader = self._program("glow_filter", "SUPERSAMPLING", "AIMLESS", "LAYERS", "RADIUS")
-        self._bind_receivers(shader)
-        self._nearness.bind_to_storage_buffer(0)
-        self._guide.bind_to_storage_buffer(1)
-        for along in ((1, 0), (0, 1)):
-            self._light.use(2)
-            set_uniforms(shader, light_in=2, along=along)
-            self._spare.bind_to_image(0, read=False, write=True)
-            self._device.dispatch(shader, self._around.size)
-            self._light, self._spare = self._spare, self._light
-
-    def _reflect(self, radiance: moderngl.TextureArray, glow: float) -> None:
-        shader, gbuffer = (
-            self._program("glow_reflect", "SUPERSAMPLING", "AIMLESS", "LAYERS"),
-            self._around.gbuffer,
-        )
-        gbuffer.normal_w.use(1)
-        gbuffer.uv.use(2)
-        self._light.use(4)
-        self._nearness.bind_to_storage_buffer(0)
-        set_uniforms(
-            shader,
-            normal_w=1,
-            uv=2,
-            reflectance=3,
-            light=4,
-            glow=glow,
-            radius=self.cells.radius,
-        )
-        radiance.bind_to_image(0, read=True, write=True)
-        for drawable, rectangle in zip(self._around.drawables, gbuffer.rectangles, strict=True):
-            if 0 in rectangle[2:]:
-                continue
-            drawable.reflectance.use(3)
-            gbuffer.bind_samples(shader, drawable.number, rectangle, unit=0)
-            self._device.dispatch(shader, rectangle[2:])
+            self._pixels.filter(self._parameters.filter_px)
+        self._pixels.reflect(radiance, glow)
 
     def debug_views(self) -> dict[str, Picture]:
         """The light that falls on each pixel, how many of its directions meet a cell's front, and the first cell."""
@@ -287,7 +218,7 @@ class Tiles:
         colours = np.random.default_rng(0).uniform(0.2, 1.0, (len(self.cells.skip) + 1, 3))
         colours[0] = 0.0
         return {
-            "light": false_grey(read_array(self._light, self.n_bands).sum(axis=-1)[::-1]),
+            "light": self._pixels.picture(),
             "met": np.repeat((hits > 0).mean(axis=-1)[..., None], 3, axis=-1),
             "cells": colours[hits[..., 0]],
         }

@@ -6,12 +6,6 @@
 layout(local_size_x = 16) in;
 #include "tiles.glsl"
 
-struct Cell {
-    vec4 sphere;
-    vec4 a, b, c;
-    vec4 more; // error, is triangle, sends light
-};
-
 struct Stage { // how far a group's walk has come
     uint next;  // cell
     uint count; // of the cells chosen

@@ -2,12 +2,7 @@
 // What a pixel would receive if all that may send light sent alike, and the variance of that mean: it knows where a shadow
 // may end, and since it depends on geometry alone, the filter that it guides stays linear in the light.
 layout(local_size_x = 8, local_size_y = 8) in;
-
-struct Cell {
-    vec4 sphere;
-    vec4 a, b, c;
-    vec4 more; // error, is triangle, sends light
-};
+#include "tiles.glsl"
 
 layout(std430, binding = 0) readonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
 layout(std430, binding = 1) readonly buffer Walk { Cell cells[]; };

@@ -14,12 +14,6 @@ struct Test {
     vec4 more;    // error, the most of u + v
 };
 
-struct Cell {
-    vec4 sphere;
-    vec4 a, b, c;
-    vec4 more; // error, is triangle
-};
-
 layout(std430, binding = 0) readonly buffer Groups { Group groups[]; };
 layout(std430, binding = 1) readonly buffer Tests { Test tests[]; };
 layout(std430, binding = 2) readonly buffer Ends { uint ends[]; }; // where each group's list begins; one more

@@ -9,3 +9,9 @@ struct Group {
     float axis;    // along which the tile is divided; -1: it is not
     float divide;  // at which coordinate
 };
+
+struct Cell { // as `Cells.walk` has it
+    vec4 sphere;  // around all that it stands for
+    vec4 a, b, c; // corners
+    vec4 more;    // error, is triangle, sends light
+};

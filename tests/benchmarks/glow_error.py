@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from phoslab.app.trades.gi import MOMENTS, in_three_bands, relative_error
 from phoslab.bands import Bands
 from phoslab.colorimetry import display_srgb, xyz_matrix, xyz_to_linear_srgb
+from phoslab.errors import PhoslabError
 from phoslab.render import TransportParameters, load_scene, render
-from phoslab.sample_data.make_scenes import SCENES
 
-TIMES = {"cornell": "off+1s", "occluder": "0", "corridor": "off+1s", "confetti": "0"}
 SETTINGS: dict[str, list[dict[str, Any]]] = {
     "tiles": [
         {},
@@ -38,16 +38,6 @@ SETTINGS: dict[str, list[dict[str, Any]]] = {
 
 def picture(path: Path, time_text: str, transport: TransportParameters, side: int) -> np.ndarray:
     return render(path, [time_text], size=(side, side), supersampling=2, transport=transport)[0].radiance
-
-
-def three_bands(name: str, out: Path) -> Path:
-    """Return a copy of a sample scene in three bands."""
-    folder = out / name
-    folder.mkdir(parents=True, exist_ok=True)
-    for file in (SCENES / name).iterdir():
-        text = file.read_bytes().replace(b"[render]", b"[render]\nbands_nm = [400, 500, 600, 700]")
-        (folder / file.name).write_bytes(text if file.suffix == ".toml" else file.read_bytes())
-    return folder
 
 
 def flip_of(reference: np.ndarray, test: np.ndarray, bands: Bands) -> float:
@@ -72,7 +62,7 @@ def reference(path: Path, out: Path, when: str, side: int, samples: int) -> list
 
 
 def compare(name: str, ways: list[str], out: Path, side: int, samples: int) -> None:
-    path, when = three_bands(name, out), TIMES[name]
+    path, when = in_three_bands(name, out), MOMENTS[name]
     one, two = reference(path, out, when, side, samples)
     r = (one + two) / 2
     none = picture(path, when, TransportParameters(), side)
@@ -85,12 +75,16 @@ def compare(name: str, ways: list[str], out: Path, side: int, samples: int) -> N
     shown = []
     for way in ways:
         for setting in SETTINGS[way]:
-            start = time.process_time()
-            a = picture(path, when, TransportParameters(way, **setting), side)
-            seconds = time.process_time() - start
-            error = np.mean((a - one) * (a - two) / (r**2 + 1e-4 * r.max() ** 2))
-            light = (a - none).sum() / (r - none).sum()
             said = ", ".join(f"{k} {v:g}" for k, v in setting.items()) or "default"
+            start = time.process_time()
+            try:
+                a = picture(path, when, TransportParameters(way, **setting), side)
+            except PhoslabError as refused:
+                print(f"{name} {way}, {said}: {refused}", flush=True)
+                continue
+            seconds = time.process_time() - start
+            error = relative_error(a, one, two)
+            light = (a - none).sum() / (r - none).sum()
             figures = f"{error:.2e}, FLIP {flip_of(r, a, bands):.3f}, light {light:.3f}, {seconds:.1f} s"
             print(f"{name} {way}, {said}: {figures}", flush=True)
             if not setting:
@@ -108,7 +102,7 @@ def compare(name: str, ways: list[str], out: Path, side: int, samples: int) -> N
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
-    parser.add_argument("scenes", nargs="*", default=list(TIMES))
+    parser.add_argument("scenes", nargs="*", default=list(MOMENTS))
     parser.add_argument("--gi", nargs="+", default=list(SETTINGS), choices=SETTINGS)
     parser.add_argument("--side", type=int, default=512, help="of the picture in pixels")
     parser.add_argument("--samples", type=int, default=512, help="of each of the two references")

@@ -98,7 +98,7 @@ def test_a_cell_of_a_quarter_of_a_million_texels_sends_their_mean(build, rooms, 
     path = build.text(toml + rooms.SATURATED).write()
     renderer = Renderer(device, load_scene(path), RenderParameters((8, 8), 1, transport=TILES))
     renderer.frame(0.0)
-    emitted = renderer.transport.cell_glow.emitted()
+    emitted = renderer.transport.lit_cells.cell_glow.emitted()
     sends = emitted.max(axis=1) > 0
     assert sends.sum() == 1
     # 2^18 shares of 2^-18 are added in float32, each sum rounded: on the mean far below, at worst 2^18 2^-24.

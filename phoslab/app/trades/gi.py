@@ -108,7 +108,7 @@ def measure(folder: Path, *, quick: bool, progress: Progress) -> tuple[list[str]
     with tempfile.TemporaryDirectory() as temporary, Device() as device:
         for k, name in enumerate(names):
             progress(k, len(names))
-            scene_folder = _in_three_bands(name, Path(temporary))
+            scene_folder = in_three_bands(name, Path(temporary))
             bench = _Bench(device, name, scene_folder, size, runs)
             with device.scope():
                 points += bench.measure(truth_samples, FEWER_PATHS if quick else PATHS, quick)
@@ -138,10 +138,10 @@ PROSE = (
 )
 
 
-def _in_three_bands(name: str, folder: Path) -> Path:
+def in_three_bands(name: str, folder: Path) -> Path:
     """Copy a sample scene, to be rendered in three bands."""
     copy = folder / name
-    shutil.copytree(SCENES / name, copy)
+    shutil.copytree(SCENES / name, copy, dirs_exist_ok=True)
     toml = copy / "scene.toml"
     text = toml.read_text(encoding="utf-8")
     toml.write_text(
