@@ -51,8 +51,9 @@ def run(args: argparse.Namespace) -> int:
     with progress_bar("decoding frames", quiet=args.json) as progress:
         result = measure_spectrum(args.session, calibration, flat=args.flat, progress=progress)
     write_text(args.output, _table(result, args.lvf.name, digest))
+    plot = _plot(result) if extra else ""
     if args.plot:
-        write_text(args.plot, _plot(result))
+        write_text(args.plot, plot)
     bands = Bands.uniform()
     means, errors = result.band_means(bands)
     if args.report:
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             name=result.session[0],
             what="the lamp's spectrum" if result.plan == "lamp" else "the spectrum of a glow",
             result=result,
-            plot=_plot(result),
+            plot=plot,
             n_positions=int(np.isfinite(result.measured).any(axis=1).sum()),
             bands=[(bands.label(j), f"{means[j]:.4f} ± {errors[j]:.4f}") for j in range(bands.n)],
             calibration=args.lvf.name,

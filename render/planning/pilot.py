@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.colorimetry import xyz_matrix
+from phoslab.render.frames import auto_exposure
 from phoslab.render.planning.charging import Drive, charged, per_light
 from phoslab.render.planning.rays import Triangles
 from phoslab.render.planning.surfaces import (
@@ -87,15 +89,28 @@ class Pilot:
     visible: Array
     side_px: Array
 
-    @property
+    @cached_property
     def to_xyz(self) -> Array:
         """(K, 3)."""
         return xyz_matrix(self.scene.transport)
 
-    @property
+    @cached_property
     def pictures(self) -> Array:
         """(T, h, w, 3) XYZ with all reflections."""
         return self.as_picture(self.lamp + self.glow + self.bounces.sum(axis=0))
+
+    @cached_property
+    def exposures(self) -> tuple[float, ...]:
+        """(T,) what brings the luminance of each moment to display white."""
+        found = []
+        for t in self.moments:
+            exposure = [e for e in self.scene.exposures if e.from_s <= t][-1]
+            factor = exposure.factor
+            if factor is None:
+                first = int(np.argmax(self.moments >= exposure.from_s))
+                factor = auto_exposure(self.pictures[first].astype(np.float32))
+            found.append(factor)
+        return tuple(found)
 
     def as_picture(self, radiance: Array) -> Array:
         """Return (T, h, w, 3) XYZ of (T, P, K)."""

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.render.frames import auto_exposure
 from phoslab.render.glow_methods import METHODS
 from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.planning.bounds import Bound
@@ -67,7 +66,7 @@ def ways(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise) -> Ite
     yield Way({"method": NONE}, _left_out(pilot, bound, 0), 0.0)
     if not pilot.bounces.any():
         return
-    left_out = {n: _left_out(pilot, bound, n) for n in BOUNCES}
+    left_out, sure = {n: _left_out(pilot, bound, n) for n in BOUNCES}, _sureness(pilot)
     for measured in costs.gi:
         if measured.method not in METHODS:
             continue
@@ -75,7 +74,7 @@ def ways(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise) -> Ite
             # What was measured with one reflection says nothing of the cells that send light on, and the other way.
             if (n > 1) == (measured.parameters.get("bounces", 1) > 1):
                 gi = {"method": measured.method, **measured.parameters, "bounces": n}
-                yield Way(gi, left_out[n], _inexact(pilot, bound, n, measured.error, _sureness(pilot)))
+                yield Way(gi, left_out[n], _inexact(pilot, bound, n, measured.error, sure))
     if traces_paths():
         for samples in SAMPLES:
             gi = {"method": REFERENCE, "samples": samples, "full": True}
@@ -106,7 +105,7 @@ def inexactness(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise,
 def _left_out(pilot: Pilot, bound: Bound, reflections: int) -> float:
     """Return what the picture errs by without the reflections after the first so many."""
     picture = pilot.as_picture(pilot.lamp + pilot.glow + pilot.bounces[:reflections].sum(axis=0))
-    each = zip(_sureness(pilot), picture, pilot.pictures, exposures(pilot), strict=True)
+    each = zip(_sureness(pilot), picture, pilot.pictures, pilot.exposures, strict=True)
     return float(max(sure * bound.error(some, whole, exposure) for sure, some, whole, exposure in each))
 
 
@@ -136,7 +135,7 @@ def _inexact(
     wrong = picture + error * off
     if not bound.of_the_whole:
         wrong = np.maximum(wrong, 0.0)
-    each = zip(np.broadcast_to(sure, len(wrong)), wrong, picture, exposures(pilot), strict=True)
+    each = zip(np.broadcast_to(sure, len(wrong)), wrong, picture, pilot.exposures, strict=True)
     return float(max(more * bound.error(off, right, exposure) for more, off, right, exposure in each))
 
 
@@ -147,20 +146,6 @@ def _sureness(pilot: Pilot) -> Array:
     return 1 + SIGMAS * spread
 
 
-def exposures(pilot: Pilot) -> list[float]:
-    """Return for each moment what brings its luminance to display white."""
-    scene, pictures = pilot.scene, pilot.pictures
-    found = []
-    for t in pilot.moments:
-        at = max(k for k, e in enumerate(scene.exposures) if e.from_s <= t)
-        factor = scene.exposures[at].factor
-        if factor is None:
-            first = int(np.argmax(pilot.moments >= scene.exposures[at].from_s))
-            factor = auto_exposure(pictures[first].astype(np.float32))
-        found.append(factor)
-    return found
-
-
 def slope(pilot: Pilot, bound: Bound) -> float:
     """Return how much a small relative change of the radiance is in the bound's unit: the worst of a few patterns.
 
@@ -169,7 +154,7 @@ def slope(pilot: Pilot, bound: Bound) -> float:
     step, worst = 0.01, 0.0
     shares = ((1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), (1.0, 0.0, -1.0), (-1.0, 1.0, -1.0))
     alone = (*np.eye(3), *-np.eye(3))
-    for picture, exposure in zip(pilot.pictures, exposures(pilot), strict=True):
+    for picture, exposure in zip(pilot.pictures, pilot.exposures, strict=True):
         total = picture.sum(axis=-1, keepdims=True)
         changes = [*(picture * np.array(share) for share in shares), *(total * one for one in alone)]
         for change in changes:
