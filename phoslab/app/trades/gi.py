@@ -96,7 +96,7 @@ def relative_error(a: Floats, one: Floats, two: Floats) -> float:
 
 
 def measure(folder: Path, *, quick: bool, progress: Progress) -> tuple[list[str], list[Path]]:
-    """Run every measurement and write the page; return its summary and the files.
+    """Run every measurement; the page grows with each scene. Return its summary and the files.
 
     Raises:
         PhoslabError: Mitsuba is not installed.
@@ -105,6 +105,8 @@ def measure(folder: Path, *, quick: bool, progress: Progress) -> tuple[list[str]
     names = ("cornell",) if quick else tuple(MOMENTS)
     size, truth_samples, runs = ((96, 96), 64, 1) if quick else ((512, 512), 128, 3)
     points: list[Point] = []
+    summary: list[str] = []
+    written: list[Path] = []
     with tempfile.TemporaryDirectory() as temporary, Device() as device:
         for k, name in enumerate(names):
             progress(k, len(names))
@@ -112,24 +114,30 @@ def measure(folder: Path, *, quick: bool, progress: Progress) -> tuple[list[str]
             bench = _Bench(device, name, scene_folder, size, runs)
             with device.scope():
                 points += bench.measure(truth_samples, FEWER_PATHS if quick else PATHS, quick)
-        gl = device.renderer
+            summary = [line for n in names for line in _verdicts(n, [p for p in points if p.scene == n])]
+            if k + 1 < len(names):
+                summary.append(f"Not finished: {k + 1} of {len(names)} scenes are measured.")
+            caption = (
+                f"Glow that is reflected once, {size[0]} x {size[1]} pixels of {SUPERSAMPLING}² samples, three bands, "
+                f"against twice {truth_samples} paths a pixel. First: a new view, where only what moves with the scene "
+                "was there; Mitsuba's time is without its set-up of the scene."
+            )
+            data = {"quick": quick, "complete": k + 1 == len(names), "points": [vars(p) for p in points]}
+            title = "Glow that lights other things: speed against accuracy"
+            written = write_trade(
+                folder, "gi", title, summary, [_section(points, caption)], data, gl=device.renderer
+            )
     progress(len(names), len(names))
-    summary = [line for name in names for line in _verdicts(name, [p for p in points if p.scene == name])]
-    table = Table(
-        "points",
-        f"Glow that is reflected once, {size[0]} x {size[1]} pixels of {SUPERSAMPLING}² samples, three bands, against "
-        f"twice {truth_samples} paths a pixel. First: a new view, where only what moves with the scene was there; "
-        "Mitsuba's time is without its set-up of the scene.",
-        ("scene", "method", "setting", "relative squared error", "first [ms]", "again [ms]"),
-        [(p.scene, p.method, p.setting, p.error, p.first_ms, p.again_ms) for p in points],
-    )
+    return summary, written
+
+
+def _section(points: Sequence[Point], caption: str) -> Section:
+    columns = ("scene", "method", "setting", "relative squared error", "first [ms]", "again [ms]")
+    rows = [(p.scene, p.method, p.setting, p.error, p.first_ms, p.again_ms) for p in points]
     plot = Plot(
         "precision", "Error against the time of a new view; both fall to the lower left.", _plot(points)
     )
-    sections = [Section("What does an error cost?", [PROSE], [plot, table])]
-    data = {"quick": quick, "points": [vars(p) for p in points]}
-    title = "Glow that lights other things: speed against accuracy"
-    return summary, write_trade(folder, "gi", title, summary, sections, data, gl=gl)
+    return Section("What does an error cost?", [PROSE], [plot, Table("points", caption, columns, rows)])
 
 
 PROSE = (
@@ -161,7 +169,7 @@ class _Bench:
     def measure(self, truth_samples: int, paths: Sequence[int], quick: bool) -> Iterator[Point]:
         """Yield a point for each way and setting."""
         renderer = self._renderer("tiles", {})
-        tiles, reference = renderer.transport, self._renderer("reference", {}).transport
+        tiles, reference = renderer.transport, self._renderer("reference", {"samples": 1}).transport
         assert isinstance(tiles, Tiles)
         assert isinstance(reference, Reference)
         self._truth = [self._paths(reference, truth_samples, seed=seed) for seed in (0, 1)]
@@ -169,13 +177,15 @@ class _Bench:
             for setting in settings:
                 with self._device.scope():
                     yield self._drawn(method, setting)
-        empty_s = min(self._paths_s(reference, 1, reflections=0) for _ in range(2))
+        empty_s = min(self._timed(reference, 1, reflections=0)[1] for _ in range(2))
         for n in paths:
-            s = median(self._paths_s(reference, n) for _ in range(self._runs)) - empty_s
-            yield self._traced("mitsuba", n, self._paths(reference, n), s, 0.0)
+            picture, s = self._timed(reference, n)
+            # The same seed has the same rays from the camera, so what comes from where they end is taken off.
+            picture -= self._paths(reference, n, reflections=0, direct=True)
+            yield self._traced("mitsuba", n, picture, s - empty_s, 0.0)
             light = self._paths(reference, n, white=True)
             filtered, filter_s = self._filtered(renderer, tiles, light)
-            yield self._traced("mitsuba, filtered", n, filtered, s, filter_s)
+            yield self._traced("mitsuba, filtered", n, filtered, s - empty_s, filter_s)
 
     def _ways(self, quick: bool) -> Iterator[tuple[str, Sequence[dict[str, Any]]]]:
         for method in METHODS:
@@ -231,11 +241,14 @@ class _Bench:
         meshes, camera = reference.meshes(white=white), self._scene.camera
         return trace(meshes, camera, self._size, samples=samples, seed=seed, grid=SUPERSAMPLING, **how)
 
-    def _paths_s(self, reference: Reference, samples: int, **more: Any) -> float:
-        """Return the time of paths that count all light: what comes directly is not traced a second time."""
-        begin = time.perf_counter()
-        self._paths(reference, samples, direct=True, **more)
-        return time.perf_counter() - begin
+    def _timed(self, reference: Reference, samples: int, **more: Any) -> tuple[Floats, float]:
+        """Return all light by so many paths a pixel, and its time: what comes directly is not traced a second time."""
+        took: list[float] = []
+        while len(took) < self._runs and sum(took) < LONG_S:
+            begin = time.perf_counter()
+            picture = self._paths(reference, samples, direct=True, **more)
+            took.append(time.perf_counter() - begin)
+        return picture, median(took)
 
     def _filtered(self, renderer: Renderer, tiles: Tiles, light: Floats) -> tuple[Floats, float]:
         begin = time.perf_counter()
@@ -249,6 +262,8 @@ class _Bench:
 
 def _verdicts(name: str, points: Sequence[Point]) -> Iterator[str]:
     """Say how long tiles take to the error of the most raw paths, and to that of filtered ones."""
+    if not points:
+        return
     tiles = [p for p in points if p.method == Tiles.name]
     for method in ("mitsuba", "mitsuba, filtered"):
         rivals = [p for p in points if p.method == method]
