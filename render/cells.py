@@ -77,15 +77,21 @@ class Cells:
         rows[:, 3, 1] = np.where(self.is_triangle, 1.0, 2.0)
         return rows
 
-    def walk(self) -> NDArray[np.float32]:
-        """Return (n, 5, 4) what a walk through the tree asks: sphere, corners, (error, is triangle, sends, 0)."""
+    def walk(self, *, sends_on: bool) -> NDArray[np.float32]:
+        """Return (n, 5, 4) what a walk through the tree asks: sphere, corners, (error, is triangle, glows, sends).
+
+        Args:
+            sends_on: whether all cells send light, not those alone that glow.
+        """
         rows = np.zeros((len(self.skip), 5, 4), dtype=np.float32)
         rows[:, 0] = self.spheres
         rows[:, 1:4, :3] = self.corners
         rows[:, 4, 0], rows[:, 4, 1] = self.errors, self.is_triangle
         for patches in self.patches.values():
             first = self.leaves[:, 0]
-            rows[(patches.leaf.min() <= first) & (first <= patches.leaf.max()), 4, 2] = 1.0
+            rows[(patches.leaf.min() <= first) & (first <= patches.leaf.max()), 4, 2:] = 1.0
+        if sends_on:
+            rows[:, 4, 3] = 1.0
         return rows
 
     def averages(self, leaf_values: Array) -> Array:

@@ -103,9 +103,9 @@ class Tiles:
         with self._device.scope():
             groups = self._device.buffer(np.zeros((n_groups, GROUP_FLOATS), dtype=np.float32))
             self._bound_groups(groups)
-            walk, *chosen = self._choose_cells(groups, n_groups)
-            self._find_hits(groups, walk, *chosen)
-            self._find_guide(walk)
+            chosen = self._choose_cells(groups, n_groups)
+            self._find_hits(groups, *chosen)
+            self._find_guide(chosen[0])
 
     @property
     def cells(self) -> Cells:
@@ -120,10 +120,10 @@ class Tiles:
         self._device.dispatch(shader, (self._tiles[0] * self._tiles[1], 1), group=(64, 1))
 
     def _choose_cells(self, groups: moderngl.Buffer, n_groups: int) -> tuple[moderngl.Buffer, ...]:
-        """Return the cells to walk, where each group's list begins and the last ends, the lists, and the guides."""
+        """Return the cells to walk, what each skips, where each group's list begins, the lists, and the guides."""
         device = self._device
         walk, skip = (
-            device.buffer(self.cells.walk()),
+            device.buffer(self.cells.walk(sends_on=self._parameters.sends_on)),
             device.buffer(self.cells.skip.astype(np.uint32)),
         )
         ends = device.buffer(np.zeros(n_groups + 1, dtype=np.uint32))
@@ -150,12 +150,13 @@ class Tiles:
                 ends.write(begins.astype(np.uint32).tobytes())
                 lists = device.buffer(np.zeros(max(1, n), dtype=np.uint32))
                 guides = device.buffer(np.zeros((max(1, n), 2), dtype=np.float32))
-        return walk, ends, lists, guides
+        return walk, skip, ends, lists, guides
 
     def _find_hits(
         self,
         groups: moderngl.Buffer,
         walk: moderngl.Buffer,
+        skip: moderngl.Buffer,
         ends: moderngl.Buffer,
         lists: moderngl.Buffer,
         guides: moderngl.Buffer,
@@ -164,7 +165,7 @@ class Tiles:
         self._pixels.bind_receivers(shader)
         tests = self._device.buffer(self.cells.tests())
         made = (self._points, self._hits, self._pixels.nearness)
-        for k, buffer in enumerate((groups, tests, ends, lists, *made, guides, walk)):
+        for k, buffer in enumerate((groups, tests, ends, lists, *made, guides, walk, skip)):
             buffer.bind_to_storage_buffer(k)
         set_uniforms(shader, tiles=self._tiles)
         for first in range(0, self._parameters.directions, BATCH):

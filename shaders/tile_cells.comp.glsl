@@ -26,7 +26,6 @@ uniform int group_count;
 uniform int stage_end; // the cell at which this stage of the walk ends
 uniform float detail;
 
-const float COPLANAR = 2e-5;
 const float ONE_WAY = 0.999999; // a cosine: equal normals, as float32 rounds them
 const float ERRORS = 3.0; // a likeness must be this much better than its size
 
@@ -45,6 +44,13 @@ bool is_hidden(Group group, Cell cell) {
     // The angle from the mean normal, less what cell and group subtend and what the normals vary, is beyond 90°.
     float angle = acos(clamp(dot(to / away, group.normal.xyz), -1.0, 1.0));
     return angle - asin(reach / away) - acos(clamp(group.normal.w, -1.0, 1.0)) > 1.5708;
+}
+
+// Whether a cell may stand for its parts. A flat one blocks as they do, and rays find the part that they meet of it: only
+// where it sends, and is aimed at, does its size matter.
+bool is_fine(Cell cell, float away) {
+    float size = cell.more.w > 0.0 ? cell.sphere.w : 0.0, error = cell.more.x < COPLANAR ? 0.0 : ERRORS * cell.more.x;
+    return size + error <= detail * max(away, 0.0);
 }
 
 #ifdef FILL
@@ -78,7 +84,7 @@ void main() {
         }
         bool is_leaf = skip[k] == k + 1u;
         float away = distance(cell.sphere.xyz, group.sphere.xyz) - cell.sphere.w - group.sphere.w;
-        if (!is_leaf && cell.sphere.w + ERRORS * cell.more.x > detail * away) {
+        if (!is_leaf && !is_fine(cell, away)) {
             ++k;
             continue;
         }

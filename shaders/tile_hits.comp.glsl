@@ -23,13 +23,13 @@ layout(std430, binding = 5) writeonly buffer Hits { uvec2 hits[]; }; // DIRECTIO
 layout(std430, binding = 6) buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless
 layout(std430, binding = 7) readonly buffer Guides { vec2 guides[]; }; // beside lists: per area, and summed
 layout(std430, binding = 8) readonly buffer Walk { Cell cells[]; };
+layout(std430, binding = 9) readonly buffer Skip { uint skip[]; };
 
 uniform ivec2 tiles;
 uniform int first; // of the BATCH directions of this run: more at once would leave the registers
 
 const float PARALLEL = 0.8;
 const float PROTRUDING = 4.0; // errors of a likeness within which it may be the receiver's own surface
-const float COPLANAR = 2e-5;
 const float INV_PI = 0.318309886;
 const float SHARE = float(AIMLESS) / float(DIRECTIONS);
 const float EDGE = 1e-5; // neighbouring cells overlap by this share, so that no ray slips between
@@ -51,6 +51,17 @@ vec3 aim(vec3 o, vec2 u, uint begin, uint end, float total) {
         t = root * t;
     }
     return normalize(cell.a.xyz + s * (cell.b.xyz - cell.a.xyz) + t * (cell.c.xyz - cell.a.xyz) - o);
+}
+
+// The smallest part of a flat cell that holds p: a cell is followed by its two halves.
+uint find_part(uint cell, vec3 p) {
+    while (skip[cell] > cell + 1u && cells[cell].more.x < COPLANAR) {
+        Test half_ = tests[cell + 1u];
+        float u = dot(half_.U.xyz, p) + half_.U.w, v = dot(half_.V.xyz, p) + half_.V.w;
+        bool inside = min(u, v) >= 0.0 && max(u, v) <= 1.0 && u + v <= half_.more.y;
+        cell = inside ? cell + 1u : skip[cell + 1u];
+    }
+    return cell;
 }
 
 void main() {
@@ -116,8 +127,13 @@ void main() {
     for (int k = 0; k < BATCH && first + k < DIRECTIONS; ++k) {
         float cosine = max(dot(d[k], n), 0.0) * INV_PI;
         float mixed = share * cosine + (1.0 - share) * density[k] / max(total, 1e-30);
-        float weight = cosine > 0.0 ? cosine / mixed : 0.0;
-        hits[at_pixel * DIRECTIONS + first + k] = uvec2(weight > 0.0 ? hit[k] : 0u, floatBitsToUint(weight));
+        float weight = mixed > 0.0 ? cosine / mixed : 0.0;
+        uint met = weight > 0.0 ? hit[k] : 0u;
+        if (met > 0u) {
+            uint cell = (met - 1u) / 2u;
+            if (cells[cell].more.w > 0.0) met += 2u * (find_part(cell, o + nearest[k] * d[k]) - cell);
+        }
+        hits[at_pixel * DIRECTIONS + first + k] = uvec2(met, floatBitsToUint(weight));
         if (first + k < max(AIMLESS, 1)) near += 1.0 / nearest[k];
     }
     nearness[at_pixel] = near;

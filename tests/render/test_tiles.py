@@ -63,15 +63,19 @@ def hits_of(device, path, size, **parameters):
 
 
 def test_every_ray_meets_what_a_search_of_all_smallest_cells_finds(device):
-    """Culling and coarser cells change no ray in a scene of flat walls: the radiance met may be an average, but front,
-    back or nothing is the same, whatever the tile was given. (A ray within rounding of an edge may fall either way.)"""
+    """Culling and whole walls change no ray in a scene of flat walls: whatever the tile was given, each meets the same
+    one of the smallest cells, or nothing. (A ray within rounding of an edge may fall either way.)"""
     met = []
-    for detail in (0.5, 0.02):
-        _, tiled = hits_of(device, SCENES / "cornell", (64, 64), detail=detail, guided=0.0)
-        met.append(tiled.hits() > 0)
+    for parameters in ({"detail": 0.5}, {"detail": 0.02, "bounces": 2}):
+        _, tiled = hits_of(device, SCENES / "cornell", (64, 64), guided=0.0, **parameters)
+        met.append(tiled.hits())
         lengths = tiled.list_lengths
-    assert lengths.max() > 5000  # the second has next to all of the 12288 smallest
-    assert (met[0] != met[1]).mean() < 1e-4
+        glows = tiled.cells.walk(sends_on=False)[:, 4, 2] > 0
+    assert lengths.max() > 5000  # the second has next to all of the 12288 smallest, since all send
+    assert ((met[0] > 0) != (met[1] > 0)).mean() < 1e-4
+    lit = (met[1] > 0) & np.append(False, glows)[met[1]]
+    assert lit.mean() > 0.05
+    assert (met[0] != met[1])[lit].mean() < 1e-3  # in one wall, the edges of cells are many
 
 
 def test_rays_agree_with_a_brute_force_search(device, build, rooms):
