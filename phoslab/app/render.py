@@ -38,6 +38,7 @@ PASSES = (
 )
 VIEWS = ("surfels", "levels", "shells", "directions", "hits")
 METHODS = ("none", "dss", "dss-z", "tiles", "reference")
+DEFAULT = "tiles"
 
 # Pixels along a side, as in a scene file.
 LARGEST_SIDE = 16384
@@ -90,9 +91,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gi",
         choices=METHODS,
-        default="none",
-        help="how glow lights other surfaces: none (default); tiles: reflected once, gathered from cells of the "
-        "surfaces; dss: splatted from surfels, nothing blocks; dss-z: the same with what blocks; "
+        help="how glow lights other surfaces: tiles (default): reflected once, gathered from cells of the surfaces; "
+        "none: not at all; dss: splatted from surfels, nothing blocks; dss-z: the same with what blocks; "
         "reference: reflected once, by the path tracer Mitsuba",
     )
     parser.add_argument(
@@ -260,7 +260,7 @@ def _refuse_what_a_plan_decides(args: argparse.Namespace) -> None:
         "--solver": args.solver is not None,
         "--step": args.step is not None,
         "--state-format": args.state_format != "f32",
-        "--gi": args.gi != "none",
+        "--gi": args.gi is not None,
         "--full-transport": args.full_transport,
         "--debug": bool(args.debug),
         BASIS: args.out.name.lower().endswith(BASIS),
@@ -290,7 +290,7 @@ def _transport(args: argparse.Namespace) -> TransportParameters:
         "samples": args.samples,
     }
     return TransportParameters(
-        args.gi,
+        args.gi or DEFAULT,
         full=args.full_transport,
         bounces=args.bounces,
         lamps=args.lamp_bounces,
