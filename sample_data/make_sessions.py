@@ -18,26 +18,11 @@ from phoslab.files import write_text
 from phoslab.instruments.bench.bench import STATEMENT, Bench, record_decay
 from phoslab.instruments.bench.campaign import Campaign
 from phoslab.instruments.bench.darkroom import Darkroom
+from phoslab.instruments.bench.lights import READY
 from phoslab.instruments.bench.sample import Sample
 from phoslab.plan_parameters import Decay, Emission, Excitation, Flats, Lamp, Lvf
 
 SEED = 20260115
-FILTERS = (
-    "L002",
-    "L035",
-    "L101",
-    "L122",
-    "L147",
-    "L179",
-    "L201",
-    "L225",
-    "L279",
-    "L366",
-    "L603",
-    "L714",
-    "L736",
-    "L775",
-)
 
 
 def main(out: Path) -> None:
@@ -52,7 +37,7 @@ def campaign(out: Path) -> None:
     One dark room: the sample that is charged for one session rests before the next. Few dark frames, so that it is
     small.
     """
-    room = Campaign(Darkroom(SEED, Sample(name="green")), FILTERS)
+    room = Campaign(Darkroom(SEED, Sample(name="green")), READY)
     room.record(out / "calibration" / "flats", Flats())
     room.record(out / "calibration" / "lvf", Lvf())
     sessions = out / "sessions" / "green"

@@ -22,8 +22,8 @@ from phoslab.instruments.bench.darkroom import Darkroom
 from phoslab.instruments.bench.faults import parse
 from phoslab.instruments.bench.host import Host
 from phoslab.instruments.bench.laboratory import Laboratory
-from phoslab.instruments.bench.paints import paint
 from phoslab.instruments.bench.rig import ENDPOINTS
+from phoslab.instruments.bench.samples import sample
 from phoslab.instruments.bench.server import Server
 from phoslab.instruments.bench.timekeeper import Timekeeper
 
@@ -34,7 +34,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Be a bench until nobody needs it; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m phoslab.instruments.bench", description=__doc__)
     parser.add_argument("--folder", type=Path, required=True, help="where it says how to reach it")
-    parser.add_argument("--sample", default="green", help="the preset that the samples look like")
+    parser.add_argument("--sample", default="green", help="what the samples are")
     parser.add_argument("--seed", type=int, default=0, help="of all that is random")
     parser.add_argument("--fault", action="append", default=[], help="NAME@12 or NAME@90s")
     parser.add_argument("--linger", type=float, default=60.0, help="seconds to wait for a host that has gone")
@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
             start = start.replace(tzinfo=UTC)
         h, w = options.size
         keeper = Timekeeper(folder, start, options.mono)
-        room = Darkroom(options.seed, paint(options.sample), CANON.resized((h, w)), born_s=options.mono)
+        room = Darkroom(options.seed, sample(options.sample), CANON.resized((h, w)), born_s=options.mono)
         body = Body(room, keeper, salt=int(start.timestamp()), card_frames=options.card_frames)
         host, faults = Host(folder, options.session), [parse(text) for text in options.fault]
         laboratory = Laboratory(folder, room, keeper, body, host, faults)

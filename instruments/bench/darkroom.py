@@ -23,6 +23,7 @@ from phoslab.instruments.bench.courses import DoorCourse, LampCourse
 from phoslab.instruments.bench.film import Film
 from phoslab.instruments.bench.lvf import Lvf
 from phoslab.instruments.bench.sample import Sample
+from phoslab.instruments.bench.samples import rested
 from phoslab.spectra import camera_sensitivities
 
 Array = NDArray[np.float64]
@@ -206,7 +207,7 @@ class Darkroom:
 
         It is computed from the beginning, and leaves what frames will show as it is.
         """
-        film, now = Film.dark(self.sample), self._first_seen(piece, times_s[0])
+        film, now = rested(self.sample), self._first_seen(piece, times_s[0])
         values = []
         for at_s in times_s:
             if at_s > now:
@@ -219,7 +220,7 @@ class Darkroom:
 
     def _film(self, piece: int, at_s: float) -> Film:
         """A piece at a moment not before the last that was asked for."""
-        since_s, film = self._pieces.get(piece, (-math.inf, Film.dark(self.sample)))
+        since_s, film = self._pieces.get(piece, (-math.inf, rested(self.sample)))
         if since_s == -math.inf:
             since_s = self._first_seen(piece, at_s)
         if at_s > since_s:
@@ -295,8 +296,8 @@ class Darkroom:
         return np.asarray(light if stage.filter == "none" else light * lights.colour_filter(stage.filter)(NM))
 
     @cached_property
-    def _sensitivity(self) -> Array:
-        """(n_nm, 3) of red, green and blue pixels; the green's sums to 1."""
+    def sensitivity(self) -> Array:
+        """(n_nm, 3) of red, green and blue pixels by `NM`; the green's sums to 1."""
         nm, known = camera_sensitivities(self.camera.sensitivities)
         fine = np.stack([np.interp(NM, nm, s, left=0, right=0) for s in known.T], axis=-1)
         return np.asarray(fine / fine[:, 1].sum())
@@ -349,20 +350,20 @@ class Darkroom:
         edge = (np.abs(right * 6 - column - 0.5) < 0.44) & (np.abs(down * 4 - row - 0.5) < 0.44)
         return [
             (inside * edge * (row * 6 + column == k), reflectance)
-            for k, reflectance in enumerate(_checker().values())
+            for k, reflectance in enumerate(checker().values())
         ]
 
     def _seen(self, spectrum: Array, stage: Stage, u: Array, *, lit_through: bool = False) -> Array:
         """(3,) or (h, w, 3) camera RGB of a spectrum, through the filter if that is in its way."""
         if stage.lvf == "camera" or (stage.lvf == "sample" and lit_through):
             fine = np.linspace(0, 1, 513)
-            table = self.lvf.transmission(fine, NM) @ (spectrum[:, None] * self._sensitivity)
+            table = self.lvf.transmission(fine, NM) @ (spectrum[:, None] * self.sensitivity)
             return np.stack([np.interp(u, fine, table[:, c]) for c in range(3)], axis=-1)
-        return np.asarray(spectrum @ self._sensitivity)
+        return np.asarray(spectrum @ self.sensitivity)
 
 
-def _checker() -> dict[str, Array]:
-    """Reflectance (n_nm,) of the 24 patches of a ColorChecker by name."""
+def checker() -> dict[str, Array]:
+    """Return the reflectance (n_nm,), by `NM`, of the 24 patches of a ColorChecker by name."""
     import colour
 
     patches: Any = colour.SDS_COLOURCHECKERS["BabelColor Average"]
@@ -370,7 +371,7 @@ def _checker() -> dict[str, Array]:
 
 
 def _patch(name: str) -> Array:
-    known = _checker()
+    known = checker()
     if name not in known:
         raise PhoslabError(
             f"is {name!r}, which no patch of the ColorChecker is called",

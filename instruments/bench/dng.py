@@ -1,4 +1,4 @@
-"""DNG files of a Bayer sensor, as LibRaw reads them: uncompressed, bit for bit."""
+"""DNG files of a Bayer sensor, as LibRaw reads them, bit for bit."""
 
 from __future__ import annotations
 
@@ -51,6 +51,7 @@ def write_dng(
     f_number: float,
     taken: str,
     description: str,
+    compressed: bool = False,
 ) -> None:
     """Write one frame to `path`; see `dng`."""
     path.write_bytes(
@@ -62,6 +63,7 @@ def write_dng(
             f_number=f_number,
             taken=taken,
             description=description,
+            compressed=compressed,
         )
     )
 
@@ -75,6 +77,7 @@ def dng(
     f_number: float,
     taken: str,
     description: str,
+    compressed: bool = False,
 ) -> bytes:
     """Return one frame as a file's content.
 
@@ -84,6 +87,7 @@ def dng(
         exposure_s, iso, f_number: go into EXIF.
         taken: local time as EXIF has it: "2026:01:15 18:00:00".
         description: ImageDescription.
+        compressed: as lossless JPEG, as cameras write them; needs the package imagecodecs.
     """
     top, left, bottom, right = sensor.active_area
     flat_cfa = [c for row in sensor.cfa for c in row]
@@ -108,17 +112,21 @@ def dng(
         (50778, _SHORT, 1, 21, True),  # CalibrationIlluminant1: D65
         (50829, _LONG, 4, sensor.active_area, True),  # ActiveArea
     ]
+    how: dict[str, Any] = {"compression": None}
+    if compressed:
+        lossless = {"lossless": True, "bitspersample": 16, "predictor": 1}
+        how = {"compression": "jpeg", "compressionargs": lossless, "rowsperstrip": values.shape[0]}
     buffer = io.BytesIO()
     tifffile.imwrite(
         buffer,
         values,
         byteorder="<",
         photometric="CFA",
-        compression=None,
         metadata=None,
         description=description,
         software="phoslab bench",
         extratags=tuple(tags),
+        **how,
     )
     return _with_exif(buffer.getvalue(), _exif(exposure_s, iso, f_number, taken))
 

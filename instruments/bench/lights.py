@@ -68,6 +68,13 @@ def mercury(width_nm: float = 1.2, continuum: float = 0.004) -> Callable[[Array]
     return lines
 
 
+READY = (
+    *("L002", "L035", "L101", "L122", "L147", "L179", "L201", "L225", "L279", "L366"),
+    *("L603", "L714", "L736", "L775"),
+)
+"""Colour filters that lie ready: of all that are known every nineteenth."""
+
+
 @cache
 def filter_names() -> tuple[str, ...]:
     """Names of the colour filters whose spectra are known: those of the package lighting-filters."""

@@ -68,18 +68,22 @@ def smooth(edges_nm: tuple[float, ...], means: tuple[float, ...]) -> Callable[[A
     return lambda nm: np.nan_to_num(np.maximum(slope(nm), 0.0))
 
 
-def paint(name: str) -> Sample:
+def known() -> tuple[str, ...]:
+    """Return the presets of which a sample can be made: those whose excitation was measured."""
+    return tuple(n for n in names() if not np.isnan(preset(n).ke_m2_per_J).any())
+
+
+def paint(name: str) -> Paint:
     """Return the sample that looks and lasts like the preset `name`.
 
     Raises:
         PhoslabError: there is none, or its excitation was never measured.
     """
-    complete = [n for n in names() if not np.isnan(preset(n).ke_m2_per_J).any()]
-    if name not in complete:
+    if name not in known():
         raise PhoslabError(
             f"{name!r} is no sample that the bench can make",
             field="--simulate",
-            remedy=f"Take one of those whose excitation is known: {', '.join(complete)}.",
+            remedy=f"Take one of those whose excitation is known: {', '.join(known())}.",
         )
     material = preset(name)
     bands = material.bands

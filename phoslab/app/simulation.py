@@ -10,19 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from phoslab.instruments.bench import rig as bench_rig
-from phoslab.instruments.bench.lights import LED
+from phoslab.instruments.bench.lights import LED, READY
 from phoslab.instruments.bench.rig import Bench
 from phoslab.instruments.plans.steps import Stage
 from phoslab.instruments.rig import SCHEMA, Rig
 from phoslab.instruments.simulated import BenchClock, Hands, Link
 
 STATEMENT = "SIMULATED by the phoslab bench: no light was measured."
-
-FILTERS = (
-    *("L002", "L035", "L101", "L122", "L147", "L179", "L201", "L225", "L279", "L366"),
-    *("L603", "L714", "L736", "L775"),
-)
-"""Of the 263 that `lighting-filters` has, every nineteenth."""
 
 AWAY = timedelta(minutes=10)
 """How much later it is on a bench that is started anew for a session that was interrupted."""
@@ -75,7 +69,7 @@ def bench_of(port: Path, socket: Path) -> Rig:
             "lamp": {"driver": "controller", "port": str(port), "max_on_s": 14400},
             "door": {"driver": "controller", "port": str(port)},
             "camera": {"driver": "simulated", "port": str(socket), "cycle_s": 0.5, "frame_MB": 0.2},
-            "filters": {"names": list(FILTERS)},
+            "filters": {"names": list(READY)},
             "led": {"spectrum": LED},
         }
     )

@@ -192,7 +192,8 @@ class Draws:
     ) -> None:
         self._executor, self.tick = executor, tick
 
-    def _run(self, work: Callable[[int], T], n: int) -> Iterator[T]:
+    def each(self, work: Callable[[int], T], n: int) -> Iterator[T]:
+        """Yield what `work` makes of 0 to n - 1, in order."""
         # In pieces of a second or so: larger ones would end unevenly, smaller ones wait for one another.
         results = (
             map(work, range(n))
@@ -206,17 +207,17 @@ class Draws:
     def recover(self, case: Case, n: int, fit: Rates | None = None) -> Recovered:
         """Fit `n` draws."""
         chosen = fit or partial(our_rates, n_states=len(case.kr))
-        rates, seconds = zip(*self._run(partial(_recover, case, chosen), n), strict=True)
+        rates, seconds = zip(*self.each(partial(_recover, case, chosen), n), strict=True)
         return Recovered(np.array(rates), float(np.median(seconds)))
 
     def coverage(self, case: Case, n: int) -> tuple[Array, Array]:
         """Return the share of intervals that hold each true rate: by profile likelihood, and by covariance alone."""
-        profile, normal = np.mean(list(self._run(partial(_covered, case), n)), axis=0)
+        profile, normal = np.mean(list(self.each(partial(_covered, case), n)), axis=0)
         return profile, normal
 
     def counted(self, case: Case, n: int) -> dict[str, float]:
         """Return how often the choice and each criterion give the true number of states."""
-        votes = list(self._run(partial(_votes, case), n))
+        votes = list(self.each(partial(_votes, case), n))
         return {name: float(np.mean([v.get(name) == len(case.kr) for v in votes])) for name in votes[0]}
 
     def bias(self, situation: Situation, fit: Rates, n: int) -> tuple[Array, Array]:
@@ -227,7 +228,7 @@ class Draws:
         """
         response = USUAL.response(situation.variance / situation.peak**2)
         work = partial(_deviation, situation, fit, response)
-        error, answer = np.swapaxes(np.array(list(self._run(work, n))), 0, 1)
+        error, answer = np.swapaxes(np.array(list(self.each(work, n))), 0, 1)
         spread = answer - answer.mean(axis=0)
         slope = (spread * error).sum(axis=0) / (spread**2).sum(axis=0)
         rest = error - slope * answer

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +33,7 @@ class Peer:
         problem: (StRD problem, which start) -> rates and linear parameters in the order of the problem; raises where
             it fails. None: it cannot state these problems.
         states: whether it can state a problem, by its name.
+        many: fits several decays in one call, where it can: -> (n, 2).
         about: what is special, for the page.
     """
 
@@ -41,6 +42,7 @@ class Peer:
     rates: Callable[[DecayData, tuple[float, float]], Array]
     problem: Callable[[strd.Problem, int], tuple[Array, Array]] | None
     states: Callable[[str], bool] = lambda name: True
+    many: Callable[[Sequence[DecayData], tuple[float, float]], Array] | None = None
     about: str = ""
 
     @property
@@ -178,19 +180,25 @@ def _glotaran_problem(p: strd.Problem, start: int) -> tuple[Array, Array]:
     return rates, linear
 
 
-def _flimlib_rates(data: DecayData, start: tuple[float, float]) -> Array:
+def _flimlib_many(decays: Sequence[DecayData], start: tuple[float, float]) -> Array:
     import flimlib
 
+    t_s = decays[0].t_s
+    guess = np.array([0.0, 1.0, 1 / start[0], 1.0, 1 / start[1]], np.float32)
     found = flimlib.GCI_marquardt_fitting_engine(
-        float(data.t_s[1] - data.t_s[0]),
-        data.signal[:, 0].astype(np.float32),
-        np.array([0.0, 1.0, 1 / start[0], 1.0, 1 / start[1]], np.float32),
+        float(t_s[1] - t_s[0]),
+        np.array([d.signal[:, 0] for d in decays], np.float32),
+        np.tile(guess, (len(decays), 1)),
         noise_type="NOISE_CONST",
-        sig=float(data.sigma[0, 0]),
+        sig=float(decays[0].sigma[0, 0]),
         fitfunc=flimlib.GCI_multiexp_tau,
     )
-    lifetimes: Array = np.asarray(found.param[[2, 4]], float)
+    lifetimes: Array = np.asarray(found.param[:, [2, 4]], float)
     return 1 / lifetimes
+
+
+def _flimlib_rates(data: DecayData, start: tuple[float, float]) -> Array:
+    return np.asarray(_flimlib_many([data], start)[0])
 
 
 PEERS = (
@@ -204,5 +212,12 @@ PEERS = (
         states=lambda name: name.startswith("Lanczos") or name == "MGH17",
         about="by variable projection; sums of exponentials and a constant only",
     ),
-    Peer("flimlib", "flimlib", _flimlib_rates, None, about="float32, one channel with an offset"),
+    Peer(
+        "flimlib",
+        "flimlib",
+        _flimlib_rates,
+        None,
+        many=_flimlib_many,
+        about="float32, one channel with an offset",
+    ),
 )

@@ -116,7 +116,7 @@ def test_a_card_reflects_its_share_of_the_lamp_through_the_colour_filter() -> No
     picture = darkroom.expose(5000.0, 2.0)
     light = lights.halogen(3000.0)(NM) * lights.colour_filter("L106")(NM) * CARD_REFLECTANCE / np.pi
     # The lamp hangs aside: in the middle its light is the reference.
-    np.testing.assert_allclose(picture[74, 100], 2.0 * light @ darkroom._sensitivity, rtol=2e-3)
+    np.testing.assert_allclose(picture[74, 100], 2.0 * light @ darkroom.sensitivity, rtol=2e-3)
     assert picture[74, 100, 0] > 3 * picture[74, 100, 2]  # L106 is primary red
 
 
