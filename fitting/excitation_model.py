@@ -30,6 +30,10 @@ Array = NDArray[np.float64]
 # A lamp that takes a state to less than this share of saturation takes it there linearly, as far as any camera tells.
 _LINEAR = 1e-3
 
+# No rate, amplitude or ratio of them is beyond e to this, 1e43. A search steps there where a state holds no light at all
+# and its logarithms are free; exp would overflow.
+_LARGEST_LOG = 100.0
+
 
 @dataclass(frozen=True, eq=False)
 class Charge:
@@ -201,7 +205,10 @@ class Problem:
         return parts.sum(axis=2), slope
 
     def residual(self, theta: Array) -> tuple[Array, Array]:
-        """Return (m,) whitened residuals, model less data, and their Jacobian (m, n_θ)."""
+        """Return (m,) whitened residuals, model less data, and their Jacobian (m, n_θ); infinite beyond all rates."""
+        if theta[: self.n_logs].max() > _LARGEST_LOG:
+            m = self.data.signal.size + 3 * self.n_c
+            return np.full(m, np.inf), np.full((m, theta.size), np.inf)
         # A state that no light excites has no gain. Where a search steps there, it finds no number and turns back.
         with np.errstate(all="ignore"):
             model, slope = self.signal(theta)

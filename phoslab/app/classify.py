@@ -47,6 +47,13 @@ def run(args: argparse.Namespace) -> int:
     from phoslab.fitting import photometric_class as pc
 
     Array = NDArray[np.float64]
+    if args.decay.is_dir():
+        raise PhoslabError(
+            "is a folder, and a class is told from a material or a table of luminance",
+            file=args.decay,
+            remedy=f"If sessions lie in it, fit them first: `phoslab fit {args.decay} -o material.json`, then "
+            "`phoslab classify material.json`.",
+        )
     is_material = args.decay.suffix == ".json"
     if is_material:
         from phoslab.kinetics import emitted_radiance

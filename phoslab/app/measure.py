@@ -61,7 +61,9 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig file (docs/formats-rig.md)")
     where.add_argument(
-        "--simulate", metavar="PRESET", help="on the simulated bench, with a sample of this colour"
+        "--simulate",
+        metavar="SAMPLE",
+        help="on the simulated bench, with a sample of this name: a preset's colour, broad or two-states",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="a new folder for what is measured")
     parser.add_argument("--sample", metavar="NAME", help="name of the sample (default: the folder's)")
@@ -152,7 +154,7 @@ def _campaign(args: argparse.Namespace) -> Campaign:
         for plan, path in folders.items()
     )
     if args.simulate is not None:
-        source = Source(None, _preset(args.simulate), args.seed or 0, tuple(args.fault))
+        source = Source(None, _sample(args.simulate), args.seed or 0, tuple(args.fault))
     else:
         source = Source(Rig.load(args.rig))
     sample = args.sample or args.simulate or folder.resolve().name
@@ -176,15 +178,10 @@ def _typed(text: str) -> float | str:
         return text
 
 
-def _preset(name: str) -> str:
-    from phoslab import presets
+def _sample(name: str) -> str:
+    from phoslab.instruments.bench.samples import sample
 
-    if name not in presets.names():
-        raise PhoslabError(
-            f"is {name!r}, which is no preset",
-            field="--simulate",
-            remedy=f"Use one of: {', '.join(presets.names())}.",
-        )
+    sample(name)  # there is one
     return name
 
 

@@ -142,7 +142,7 @@ def test_json_is_one_object_with_the_summary(tmp_path: Path, capsys: pytest.Capt
     ("arguments", "said"),
     [
         ("measure decay --simulate green -o {full}", "already exists"),
-        ("measure decay --simulate mauve -o {new}", "'mauve', which is no preset"),
+        ("measure decay --simulate mauve -o {new}", "'mauve', which is no sample of the bench"),
         ("measure decay --rig {new}/none.toml -o {new}", "Name a rig file"),
         ("measure decay --rig {rig} -o {new} --seed 3", "simulated bench"),
         ("measure all --simulate green -o {new} --set decay.colour=3", "no parameter 'colour'"),

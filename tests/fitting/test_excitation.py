@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -15,7 +16,7 @@ from phoslab.fitting.charging import LampCourse, Steps, Table
 from phoslab.fitting.decay import fit_decay
 from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.excitation import fit_excitation
-from phoslab.fitting.excitation_model import Charge, ExcitationData
+from phoslab.fitting.excitation_model import Charge, ExcitationData, Problem
 from phoslab.fitting.excitation_report import report
 from phoslab.fitting.light import Shapes, outside
 from phoslab.instruments.bench import lights
@@ -439,3 +440,17 @@ def test_the_excitation_spectrum_of_paint_of_traps_comes_out(paint_of_traps):
     share = fit.product.sum(axis=0) * light
     # What the glow at rest says of the drive is not linear in it where traps are caught again: 5 points of 100.
     assert share / share.sum() == pytest.approx(truth, abs=0.05)
+
+
+def test_a_step_beyond_all_rates_has_no_model_and_no_overflow(two_states):
+    truth, _ = two_states
+    problem = Problem(truth.data, truth.charge, common=True)
+    near = problem.start(1.0)
+    residual, slope = problem.residual(near)
+    far = near.copy()
+    far[2 * problem.n_c] = 800.0  # log of the ratio of two states' rates: exp of it is no float
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lost, lost_slope = problem.residual(far)
+    assert (lost.shape, lost_slope.shape) == (residual.shape, slope.shape)
+    assert np.isinf(lost).all()

@@ -248,9 +248,11 @@ def draws_on_every_core(tick: Callable[[int], None]) -> Iterator[Draws]:
     try:
         yield Draws(executor, tick)
     except BaseException:
-        # What they are at takes seconds that nobody waits for.
+        # What they are at takes seconds that nobody waits for; but first what they have not begun is dropped, or the
+        # executor's own thread would stumble over it.
+        executor.shutdown(wait=False, cancel_futures=True)
+        time.sleep(0.1)
         for worker in active_children():
             worker.terminate()
-        executor.shutdown(wait=False, cancel_futures=True)
         raise
     executor.shutdown(cancel_futures=True)
