@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 # A lamp that takes a state to less than this share of saturation takes it there linearly, as far as any camera tells.
 _LINEAR = 1e-3
 
-# No rate, amplitude or ratio of them is beyond e to this, 1e43. A search steps there where a state holds no light at all
-# and its logarithms are free; exp would overflow.
+# No rate, amplitude or ratio of them is beyond e to this, 1e43. A search steps there where a state holds no light at
+# all and its logarithms are free; exp would overflow.
 _LARGEST_LOG = 100.0
 
 

@@ -43,6 +43,9 @@ _FADE_STEPS = 8
 _COMPARED = 12
 """Decay frames that say how bright the paint is at each place."""
 
+_LEAST_LEFT = 0.5
+"""Of the places and frames of a series, this share must have some colour that is not saturated."""
+
 _RESTED = 3.0
 """A rest shorter than so many lifetimes of the slowest state leaves more than a twentieth of it behind."""
 
@@ -109,6 +112,16 @@ def reduce_excitation(
     signal = (information * fit.colour * glow.signal).sum(axis=2) / np.maximum(total, 1e-300)
     sigma = np.where(total > 0, 1 / np.sqrt(np.maximum(total, 1e-300)), np.inf)
     sigma = np.where(response > 0, sigma, np.inf)
+    lost = ~np.isfinite(glow.sigma)
+    told = f"{lost.sum()} of {lost.size} values along the filter are saturated"
+    if not np.isfinite(sigma[:, response > 0]).sum() > _LEAST_LEFT * (response > 0).sum() * len(frames):
+        raise PhoslabError(
+            f"is over-exposed: {told}",
+            file=session.path,
+            remedy="Record it anew with shorter exposures, a lower ISO or a smaller aperture.",
+        )
+    if lost.any():
+        warnings.append(f"{session.path.name}: {told} and left out.")
 
     course = LampCourse(fade=_fade(fade_s(session)))
     on_s, off_s = np.array([_last_light(session, f) for f in frames]).T

@@ -83,6 +83,14 @@ def _folders(path: Path) -> list[Path]:
     if (path / "session.toml").exists() or not path.is_dir():
         return [path]
     inside = sorted(p for p in path.iterdir() if p.is_dir() and (p / "session.toml").exists())
+    if not inside and not (path / "journal.jsonl").exists():
+        deeper = next((p.parent.parent for p in path.glob("*/*/session.toml")), None)
+        raise PhoslabError(
+            "is no session (it has no session.toml), nor does a folder in it have one",
+            file=path,
+            remedy="Name folders of sessions, or the folder that `phoslab measure all` wrote"
+            + (f"; {deeper} is one that holds sessions." if deeper else "."),
+        )
     return inside or [path]
 
 

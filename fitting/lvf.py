@@ -258,10 +258,10 @@ def _only(sessions: Sequence[Session], plan: str) -> Session:
     found = [s for s in sessions if s.header.plan == plan]
     if len(found) != 1:
         plans = ", ".join(sorted({s.header.plan for s in sessions}))
+        how_many = "no session" if not found else f"{len(found)} sessions"
         raise PhoslabError(
-            f"of the plan {plan!r} are {len(found)} among those named (plans: {plans or 'none'})",
-            file=sessions[0].path if sessions else None,
-            field="sessions",
+            f"has {how_many} of the plan {plan!r} among those named (plans: {plans or 'none'})",
+            field="the calibration",
             remedy=f"Name one session of the plan {plan!r}, and beside it one of 'flats' if there is one.",
         )
     return found[0]

@@ -92,7 +92,7 @@ def screen(table: DecayTable) -> Screened:
         raise PhoslabError(
             "holds no decay: " + "; ".join(f"{name} {reason}" for name, reason in lost.items()),
             file=table.file,
-            remedy="No rate can be determined from it. Check the columns, and that the lamp was off.",
+            remedy="Without a decay there are no rates: check the columns, and that the lamp was off.",
         )
     data = DecayData(
         t_s=t,
@@ -137,15 +137,15 @@ def no_decay(t: Array, values: Array, sigma: Array) -> str | None:
     if v.size < 2 or at[0] == at[-1]:
         return "has values at one time only: a rate needs two"
     if (v == v[0]).all():
-        return "does not change: no rate can be determined"
+        return "does not change"
     if v.size >= 4:
         # Mann and Kendall's test for a trend: of something that falls, so many pairs rise once in 30,000 times.
         pairs = np.sign(np.subtract.outer(v, v)) * np.sign(np.subtract.outer(at, at))
         n = v.size
         if pairs.sum() / 2 > 4 * np.sqrt(n * (n - 1) * (2 * n + 5) / 18) or pairs.sum() == n * (n - 1):
-            return "rises: that is no decay, and no rate can be determined"
+            return "rises instead of falling"
     elif v[-1] > v[0]:
-        return "rises: that is no decay, and no rate can be determined"
+        return "rises instead of falling"
     return None
 
 

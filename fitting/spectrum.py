@@ -151,7 +151,7 @@ def measure_spectrum(
     warnings += said
     if not lights:
         raise PhoslabError(
-            f"has no {plan} frame that can be used: {said[0] if said else 'none shows the strip'}",
+            f"has no {plan} frame that can be used: {said[0].removesuffix('.') if said else 'none shows the strip'}",
             file=path,
             remedy="Record the session anew, with dark frames at the same settings and without saturation.",
         )

@@ -90,7 +90,9 @@ class StripEquations:
         if between is None:  # no spectrum is known yet to see the curves' errors by
             variance = variance + (self.curves.misfit * y.max(axis=1, keepdims=True)) ** 2
             between = np.zeros((*y.shape, 3))
-        return Normal.correlated(self.response, y, between + variance[:, :, None] * np.eye(3))
+        covariance = between.copy()
+        covariance[:, range(3), range(3)] += variance  # infinite where nothing is seen
+        return Normal.correlated(self.response, y, covariance)
 
     def solve(self, shift_px: float) -> Solution:
         return solve(self.normal(shift_px), self.penalty)

@@ -67,7 +67,7 @@ def others(decay, darks, folder):
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (backwards, "every channel rises: that is no decay, and no rate can be determined"),
+        (backwards, "every channel rises instead of falling"),
         (dark, "shows no sample that stands out from the dark"),
         (others, "every channel has values at one time only: a rate needs two"),
     ],

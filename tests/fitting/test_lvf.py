@@ -241,7 +241,7 @@ def test_few_filters_are_said(lvf_session, tmp_path):
 
 
 def test_a_session_of_another_plan_is_refused(lvf_session, lamp_session, calibration):
-    with pytest.raises(PhoslabError, match="of the plan 'lvf' are 0"):
+    with pytest.raises(PhoslabError, match="no session of the plan 'lvf'"):
         calibrate([lamp_session])
     with pytest.raises(PhoslabError, match="is of the plan 'lvf'"):
         measure_spectrum(lvf_session, calibration)
