@@ -37,6 +37,7 @@ def report(result: TableFit, name: str) -> str:
         lines.append(f"  {f'A[{i}]':14}" + "".join(f"{a:>{width}.5g}" for a in fit.amplitude[i]))
     said = "fitted" if fit.has_offset else "none: 0"
     lines.append(f"  {'offset':14}" + "".join(f"{o:>{width}.5g}" for o in fit.offset) + f"   ({said})")
+    lines.append(f"  valid from {result.valid_s[0]:.4g} s to {result.valid_s[1]:.4g} s after lamp-off")
     lines.append("[[number of states]]")
     lines.append("  states offset   chi-square   dof       AICc        BIC    F-test  cross-validation")
     for c in result.selection.candidates:
@@ -57,7 +58,6 @@ def report(result: TableFit, name: str) -> str:
             values = ", ".join(f"{k} = {v:.4g}" for k, v in o.parameters.items())
             lines.append(f"  {o.name:22}  {values}   chi-square {o.chi2:.5g}, AICc {o.aicc:.5g}")
     lines += extrapolation.lines(result.extrapolated, data.channels)
-    lines.append(f"  valid from {result.valid_s[0]:.4g} s to {result.valid_s[1]:.4g} s after lamp-off")
     if result.flags:
         lines.append("[[warnings]]")
         lines += [f"  {f}" for f in result.flags]

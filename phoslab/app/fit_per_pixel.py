@@ -283,11 +283,11 @@ def _draw_flags(path: Path, maps: PixelMaps) -> None:
     from phoslab.fitting.pixel_decay import Flag
 
     kinds = (
-        (Flag.CLIPPED, "#e6a817", "values left out"),
-        (Flag.MISFIT, "#8e44ad", "misfit"),
-        (Flag.FEWER, "#2e86c1", "fewer states"),
+        (Flag.CLIPPED, "#e6a817", "some values saturated or hot, left out"),
+        (Flag.MISFIT, "#8e44ad", "missed by more than noise"),
+        (Flag.FEWER, "#2e86c1", "fewer states than the sample"),
         (Flag.UNDETERMINED, "#d35400", "rate not determined"),
-        (Flag.UNCONVERGED, "#c0392b", "not converged"),
+        (Flag.UNCONVERGED, "#c0392b", "search did not end"),
         (Flag.DARK, "#111111", "too dark"),
         (Flag.MASKED, "#dddddd", "does not glow"),
     )
@@ -300,7 +300,8 @@ def _draw_flags(path: Path, maps: PixelMaps) -> None:
     n = np.bincount(image.ravel(), minlength=len(names))
     image = _thinned(image)
     figure = Figure(
-        figsize=(6.4, 0.6 + 4.2 * min(2.0, image.shape[0] / image.shape[1])), layout="constrained"
+        figsize=(5.2, 0.6 + 0.25 * (n > 0).sum() + 4.8 * min(2.0, image.shape[0] / image.shape[1])),
+        layout="constrained",
     )
     axes = figure.subplots()
     axes.imshow(
@@ -315,7 +316,7 @@ def _draw_flags(path: Path, maps: PixelMaps) -> None:
         handles=[
             Patch(color=c, label=f"{name}: {k:,}") for c, name, k in zip(colours, names, n, strict=True) if k
         ],
-        loc="outside right center",
+        loc="outside lower center",
         frameon=False,
     )
     figure.savefig(path, dpi=110)

@@ -74,6 +74,7 @@ def _states(result: FitResult) -> list[dict[str, Any]]:
     return [
         {
             "kr": _value(fit.kr_per_s[i], fit.kr_standard_error[i]),
+            "interval": "{:.4g} .. {:.4g}".format(*result.interval95[i]),
             "lifetime": f"{1 / fit.kr_per_s[i]:.3g}",
             "amplitude": _value(fit.strength[i], fit.strength_standard_error[i]),
             "share": f"{share[i]:.0%}",
