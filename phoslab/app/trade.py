@@ -25,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="SCENE",
         help="model: a scene to measure on (may be repeated)",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer settings and runs: under a minute")
+    parser.add_argument("--quick", action="store_true", help="fewer settings and runs: a minute or so")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
 
 

@@ -5,7 +5,9 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +15,14 @@ from matplotlib.figure import Figure
 
 from phoslab.app.trades import (
     extremes,
+    fit_bench_page,
     fit_charging,
     fit_draws,
+    fit_frames,
+    fit_materials,
     fit_peers,
+    fit_process,
+    fit_spectra,
     hours,
     precision,
     previous,
@@ -25,6 +32,9 @@ from phoslab.app.trades import (
 from phoslab.app.trades import fit as trade_fit
 from phoslab.app.trades.page import Plot, Section, Table, write_trade
 from phoslab.app.trades.precision import Measured, Point
+from phoslab.errors import PhoslabError
+from phoslab.raw import read_raw
+from phoslab.session import Session
 
 NUMPY_SOLVERS = ("euler", "substep", "exact", "exact2", "rk23")
 
@@ -153,22 +163,76 @@ def test_exact_charging_agrees_with_a_general_solver():
     assert fit_charging.measure(3, 1).difference < 1e-10
 
 
-def test_the_trade_of_the_fit_answers_every_question(tmp_path, monkeypatch):
-    few = trade_fit.Sizes(success=6, peer=1, coverage=4, states=1, clipped=2, electrons=2, runs=1)
+def test_the_trade_of_the_fit_answers_question_after_question(tmp_path, monkeypatch):
+    """But for those of RAW frames, which take a minute; their parts are below."""
+    few = replace(
+        trade_fit.QUICK, success=6, peer=1, coverage=4, states=1, clipped=2, electrons=2, pixels=200
+    )
+    of_raw = (trade_fit._materials, trade_fit._spectra, trade_fit._commands, trade_fit._frames)
+    questions = trade_fit._questions
     monkeypatch.setattr(trade_fit, "QUICK", few)
+    monkeypatch.setattr(
+        trade_fit, "_questions", lambda *a: [q for q in questions(*a) if q.ask.func not in of_raw]
+    )
     seen, pages = [], []
     write = trade_fit.write_trade
     monkeypatch.setattr(trade_fit, "write_trade", lambda *a: pages.append(a) or write(*a))
     summary, written = trade_fit.measure(
         tmp_path, quick=True, progress=lambda n, total: seen.append((n, total))
     )
-    assert [len(p[4]) for p in pages] == [1, 2, 3, 4, 5, 6]  # the page grows, whole all the while
+    assert [len(p[4]) for p in pages] == [1, 2, 3, 4, 5, 6, 7]  # the page grows, whole all the while
     data = json.loads((tmp_path / "trade.json").read_text())
     assert data["complete"]
-    assert {"digits", "success", "coverage", "bias", "right_states", "charging"} <= set(data)
+    assert {"digits", "success", "coverage", "bias", "right_states", "charging", "pixels"} <= set(data)
     assert all(path.exists() for path in written)
     assert seen[-1][0] == seen[-1][1]
     assert any("digits" in s for s in summary)
+    assert not list(tmp_path.glob("recorded-*"))
+
+
+def judged(name: str, delta_e: float) -> fit_materials.Judged:
+    share = np.array([0.6, 0.3, 0.1, 0, 0, 0, 0, 0])
+    excited = fit_materials.Excited(0.006, 0.012, 4.0, 1.01, share, share, 0.0, np.array([0.003, -0.001]))
+    seen = fit_materials.Seen(2, np.full(3, delta_e), 1.0)
+    return fit_materials.Judged(name, {"1": seen, "auto": seen}, excited)
+
+
+def test_a_sample_that_follows_the_model_is_told_apart_from_paint():
+    part = fit_bench_page.materials([judged("two-states", 9.0), judged("green", 1.0), judged("red", 2.0)])
+    assert "rates within 0.3%, level missed by 0.6% (worst place 1.2%)" in part.answer
+    assert "a mean ΔE00 of 1.5" in part.answer  # of those that hold traps
+    json.dumps(part.data, allow_nan=False)
+
+
+def test_a_material_of_the_photographs_own_colours_is_at_no_distance():
+    photographs = np.array([[0.4, 1.0, 0.3], [0.2, 0.5, 0.15], [0.02, 0.05, 0.015]])
+    assert fit_materials._delta_e(photographs, photographs, np.eye(3)) == pytest.approx(0.0)
+    redder = photographs * [1.1, 1.0, 1.0]
+    assert (fit_materials._delta_e(photographs, redder, np.eye(3)) > 1).all()
+
+
+def test_a_spectrum_is_scaled_to_the_truth_before_it_is_judged():
+    truth = np.exp(-(((fit_spectra.NM - 530) / 40) ** 2))
+    found = SimpleNamespace(value=3 * truth, standard_error=np.full(truth.size, 0.3))
+    assert fit_spectra._missed("x", found, truth).error == pytest.approx(0.0, abs=1e-12)
+    bent = SimpleNamespace(value=3 * truth + 0.3, standard_error=np.full(truth.size, 0.3))
+    assert fit_spectra._missed("x", bent, truth).off.max() > 0.5
+
+
+def test_frames_are_made_large_and_the_session_stays_whole(tmp_path):
+    session = Session.open(fit_frames.record(tmp_path / "large", (320, 480), 2))
+    assert {read_raw(f.path).values.shape for f in session.frames} == {(320, 480)}
+    assert session.warnings == ()
+
+
+def test_a_command_is_timed_with_its_memory_and_one_that_fails_says_why(tmp_path):
+    took = fit_process.command("presets", "--json")
+    assert "green" in took.printed
+    assert took.clock_s > 0
+    if Path("/proc/self/smaps_rollup").exists():
+        assert took.held_bytes > 1e6
+    with pytest.raises(PhoslabError, match="cannot be read"):
+        fit_process.command("fit", str(tmp_path / "none.csv"))
 
 
 def test_a_trade_leaves_a_page_tables_plots_and_data(tmp_path):

@@ -78,11 +78,11 @@ FULL = Sizes(
 )
 QUICK = Sizes(
     success=100,
-    peer=4,
-    coverage=60,
-    states=3,
+    peer=2,
+    coverage=40,
+    states=2,
     clipped=10,
-    electrons=30,
+    electrons=20,
     runs=1,
     pixels=20_000,
     frames=(((288, 400), 5),),
