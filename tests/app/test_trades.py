@@ -232,7 +232,7 @@ def test_a_command_is_timed_with_its_memory_and_one_that_fails_says_why(tmp_path
     if Path("/proc/self/smaps_rollup").exists():
         assert took.held_bytes > 1e6
     with pytest.raises(PhoslabError, match="cannot be read"):
-        fit_process.command("fit", str(tmp_path / "none.csv"))
+        fit_process.command("classify", str(tmp_path / "none.csv"))
 
 
 def test_a_trade_leaves_a_page_tables_plots_and_data(tmp_path):

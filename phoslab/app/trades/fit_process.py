@@ -34,15 +34,15 @@ def command(*words: str) -> Took:
     Raises:
         PhoslabError: it fails; its last words say why.
     """
-    return _run([sys.executable, "-m", "phoslab", *words])
+    return _run([sys.executable, "-m", "phoslab", *words], f"phoslab {words[0]}")
 
 
 def python(code: str, *words: str) -> Took:
     """Run a piece of Python with arguments; it fails as `command` does."""
-    return _run([sys.executable, "-c", code, *words])
+    return _run([sys.executable, "-c", code, *words], "what is to be timed")
 
 
-def _run(words: list[str]) -> Took:
+def _run(words: list[str], name: str) -> Took:
     before = _children_s()
     began, most = time.perf_counter(), 0
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -56,9 +56,10 @@ def _run(words: list[str]) -> Took:
         clock_s = time.perf_counter() - began
         printed, said = process.communicate()
     if process.returncode:
+        last = said.strip().splitlines()[-1] if said.strip() else "it said nothing"
         raise PhoslabError(
-            f"failed: {said.strip().splitlines()[-1] if said.strip() else 'it said nothing'}",
-            field=" ".join(words[1:4]),
+            f"failed: {last.removeprefix('phoslab: ').removesuffix('.')}",
+            field=name,
             remedy="Mend that and measure again.",
         )
     return Took(clock_s, _children_s() - before, most, printed)
