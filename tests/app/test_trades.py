@@ -1,11 +1,13 @@
 """Trades: what is measured, and what is written down."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import replace
+from importlib.resources import as_file, files
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -220,9 +222,12 @@ def test_a_spectrum_is_scaled_to_the_truth_before_it_is_judged():
 
 
 def test_frames_are_made_large_and_the_session_stays_whole(tmp_path):
-    session = Session.open(fit_frames.record(tmp_path / "large", (320, 480), 2))
-    assert {read_raw(f.path).values.shape for f in session.frames} == {(320, 480)}
-    assert session.warnings == ()
+    with as_file(files("phoslab.sample_data") / "sessions" / "green-decay") as shipped:
+        shutil.copytree(shipped, tmp_path / "large")
+    fit_frames._enlarge(Session.open(tmp_path / "large"), (160, 240))
+    session = Session.open(tmp_path / "large")  # which compares checksums
+    assert read_raw(session.frames[0].path).values.shape == (160, 240)
+    assert session.complete
 
 
 def test_a_command_is_timed_with_its_memory_and_one_that_fails_says_why(tmp_path):
