@@ -93,8 +93,12 @@ class ExcitationFit:
 
     @property
     def product_only(self) -> NDArray[np.bool_]:
-        """(n_c,) the states of which only Λ ke is determined, not ke."""
-        loose: NDArray[np.bool_] = ~(self.scale_error < _LOOSE)
+        """(n_c,) the states of which only Λ ke is determined, not ke.
+
+        Saturation shows in some per cent of the level; where the model misses more than noise, it is not to be told
+        from what is missed.
+        """
+        loose: NDArray[np.bool_] = ~(self.scale_error < _LOOSE) | (self.discrepancy > 0)
         return loose
 
     @property

@@ -68,10 +68,13 @@ def lines(fit: ExcitationFit) -> list[str]:
             f"  time to half of it      {measured:.3g} s measured, {fit.rise_ratio:.2f} of that modelled"
         )
     for i in range(fit.n_states):
-        only = ", only Λ ke is determined" if fit.product_only[i] else ""
+        loose = fit.product_only[i]
+        only, known = (
+            (", only Λ ke is determined", "not determined") if loose else ("", _share(fit.scale_error[i]))
+        )
         told += [
             f"[[state {i}{only}]]",
-            f"  a under the lamp [1/s]  {fit.a_per_s[i]:.4g} ({_share(fit.scale_error[i])})",
+            f"  a under the lamp [1/s]  {fit.a_per_s[i]:.4g} ({known})",
             f"  r when the lamp went off  {fit.initial[i]:.3f}",
             f"  correlation of log a    {fit.correlation[i, 0]:+.2f} with log Λ, "
             f"{fit.correlation[i, 1]:+.2f} with log r(0)",

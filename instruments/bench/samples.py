@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 from phoslab.errors import PhoslabError
@@ -10,7 +11,7 @@ from phoslab.instruments.bench.paints import known, paint
 from phoslab.instruments.bench.sample import Sample
 from phoslab.instruments.bench.states import StateFilm, StatePaint, state_paint
 
-_OTHERS = {
+_OTHERS: dict[str, Callable[[], Sample]] = {
     "broad": partial(Sample, name="broad"),
     "two-states": partial(state_paint, "two-states", "green", 1.5),
 }

@@ -89,7 +89,7 @@ def _excited(found: MeasuredExcitation) -> list[dict[str, str]]:
     return [
         {
             "a": _value(fit.a_per_s[i], fit.a_per_s[i] * fit.scale_error[i])
-            if fit.scale_error[i] < 1
+            if not fit.product_only[i]
             else f"{fit.a_per_s[i]:.2g}, to a factor only",
             "initial": f"{fit.initial[i]:.3f}",
             "known": "only the product of Λ and ke" if fit.product_only[i] else "ke and Λ",

@@ -229,6 +229,12 @@ def test_near_saturation_the_factors_are_claimed():
     assert fit_excitation(truth.data, truth.charge).product_only.tolist() == [False]
 
 
+def test_where_the_model_misses_more_than_noise_only_the_product_is_claimed(two_states):
+    _, fit = two_states
+    assert not fit.product_only.any()
+    assert replace(fit, discrepancy=0.03).product_only.all()
+
+
 def test_one_spectrum_for_both_states_is_preferred_where_it_is_true():
     same, other = made(steps_of_bands(VIOLET, VIOLET), 1.5), made(steps_of_bands(VIOLET, BLUE), 1.5)
     assert fit_excitation(same.data, same.charge, limits=False).common_shape

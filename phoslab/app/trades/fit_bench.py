@@ -23,7 +23,11 @@ from phoslab.plan_parameters import Decay, Emission, Excitation, Flats, Lamp, Lv
 
 SEED = 11
 
-OF_RIG = {"flats": Flats(), "lamp": Lamp(), "lvf": Lvf(filters=",".join(lights.READY))}
+OF_RIG: Mapping[str, Parameters] = {
+    "flats": Flats(),
+    "lamp": Lamp(),
+    "lvf": Lvf(filters=",".join(lights.READY)),
+}
 OF_SAMPLE: Mapping[str, Parameters] = {"emission": Emission(), "decay": Decay(), "excitation": Excitation()}
 CHARGE_S = Decay().charge_s
 

@@ -22,7 +22,8 @@ from phoslab.fitting.filters import transmission
 from phoslab.fitting.find_strip import follow_strip
 from phoslab.fitting.lvf import Calibration
 from phoslab.fitting.lvf_file import load
-from phoslab.fitting.spectrum import NM, Spectrum, reconstruct
+from phoslab.fitting.spectrum import Spectrum, reconstruct
+from phoslab.fitting.strip_equations import NM
 from phoslab.fitting.strip_light import read_light
 from phoslab.instruments.bench import darkroom, lights
 from phoslab.instruments.bench.bench import STATEMENT
