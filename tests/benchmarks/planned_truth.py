@@ -102,7 +102,7 @@ class Level:
 
     @property
     def worth(self) -> float:
-        """What as many paths again would take off the square of the noise, a second."""
+        """What as many paths again would take off the square of the noise, a second of processors."""
         return float(np.abs(self.halves[0] - self.halves[1]).mean() ** 2 / self.seconds)
 
 
@@ -147,7 +147,7 @@ class Truth:
 
     @property
     def seconds(self) -> float:
-        """How long it took."""
+        """What it took, of all processors."""
         return sum(level.seconds for level in self.levels)
 
     def noise(self, bound: Bound, exposure: float) -> float:
@@ -156,15 +156,15 @@ class Truth:
         return bound.error(*self.halves, exposure) / 2
 
     def follow(self, bound: Bound, noise: float, limit_s: float, exposure: float) -> None:
-        """Follow paths until the noise is below `noise`, in the unit of `bound`, or so much time has passed."""
-        begin = time.perf_counter()
+        """Follow paths until the noise is below `noise`, in the unit of `bound`, or processors took so long."""
+        begin = time.process_time()
         for level, samples in zip(self.levels, FIRST_SAMPLES, strict=True):
             if level.samples == 0:
                 self._add(level, samples)
         while True:
             reached = self.noise(bound, exposure)
             level = max(self.levels, key=lambda each: each.worth)
-            if reached <= noise or time.perf_counter() - begin > limit_s:
+            if reached <= noise or time.process_time() - begin > limit_s:
                 break
             self._add(level, level.at_once)
         np.savez(
@@ -176,7 +176,7 @@ class Truth:
         )
 
     def _add(self, level: Level, samples: int) -> None:
-        begin = time.perf_counter()
+        begin = time.process_time()
         more = []
         for seed in (level.seed, level.seed + 1):
             picture = level.plus.picture(samples, seed)
@@ -184,4 +184,4 @@ class Truth:
         total = level.samples + samples
         level.halves = (level.samples * level.halves + samples * np.array(more)) / total
         level.samples, level.seed = total, level.seed + 2
-        level.seconds += time.perf_counter() - begin
+        level.seconds += time.process_time() - begin
