@@ -11,7 +11,6 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +78,7 @@ def trace(
     seed: int = 0,
     direct: bool = True,
     grid: int = 1,
+    variant: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Texels:
     """Return (h, w, K) the radiance that reaches the camera, top row first: the mean over each pixel.
@@ -92,12 +92,13 @@ def trace(
         samples: paths a pixel, stratified over the pixel and over what sends light (multi-jittered, Kensler 2013).
         direct: whether light that comes without a reflection counts.
         grid: parts along the side of a pixel.
+        variant: `LLVM` or `SCALAR`; None: `usual_variant`.
         progress: called with (bands done, bands in all).
 
     Raises:
         PhoslabError: Mitsuba is not installed.
     """
-    mi = _mitsuba()
+    mi = _mitsuba(variant or usual_variant())
     n_bands = meshes[0].reflectance.shape[-1]
     brightest = max((float(m.radiance.max()) for m in meshes if m.radiance is not None), default=0.0)
     picture = np.zeros((size[1], size[0], n_bands), dtype=np.float32)
@@ -251,9 +252,13 @@ def _bitmap(mi: Any, texels: Texels, wrap: str, filter_type: str) -> dict[str, A
     }
 
 
-@cache
-def _mitsuba() -> Any:
-    """Load Mitsuba in its faster variant where there is an LLVM for it.
+def usual_variant() -> str:
+    """Return the variant of Mitsuba that pictures take: the vectorised one where there is an LLVM for it."""
+    return SCALAR if find_llvm() is None else LLVM
+
+
+def _mitsuba(variant: str) -> Any:
+    """Load Mitsuba in a variant.
 
     Raises:
         PhoslabError: it is not installed.
@@ -267,16 +272,20 @@ def _mitsuba() -> Any:
         raise PhoslabError(
             "is not installed", field="the path tracer mitsuba", remedy="pip install 'phoslab[reference]'"
         ) from error
-    mitsuba.set_variant(SCALAR if llvm is None else LLVM)
+    mitsuba.set_variant(variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     return mitsuba
 
 
 def find_llvm() -> Path | None:
-    """Return the LLVM library that `DRJIT_LIBLLVM_PATH` names, or the newest in the usual folders; None: too old."""
+    """Return the LLVM library that `DRJIT_LIBLLVM_PATH` names, or the newest in the usual folders.
+
+    Returns:
+        None where there is none, all are too old, or the variable names what is not there.
+    """
     named = os.environ.get("DRJIT_LIBLLVM_PATH")
     if named:
-        return Path(named)
+        return Path(named) if Path(named).is_file() else None
     found: list[tuple[int, Path]] = []
     for folder in LLVM_FOLDERS:
         for path in Path("/").glob(f"{folder[1:]}/libLLVM*.so*"):

@@ -63,10 +63,12 @@ def check_plan(
     """
     planner = _planner(_scene(scene), plan.bound, plan.times, plan.size, trade, device)
     again = decisions.explain(planner, plan.choices)
+    bound = parse_bound(plan.bound)
+    if again.predicted_error > bound.value and planner.look_closer():
+        again = decisions.explain(planner, plan.choices)
     wrong = []
     if plan.scene_sha256 and plan.scene_sha256 != again.scene_sha256:
         wrong.append("the scene has changed since it was planned")
-    bound = parse_bound(plan.bound)
     if again.predicted_error > bound.value:
         worst = max(again.terms, key=lambda term: term.error)
         wrong.append(

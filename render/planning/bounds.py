@@ -7,9 +7,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,6 +51,17 @@ def flip_error(a: Array, b: Array, exposure: float) -> float:
     Raises:
         PhoslabError: flip-evaluator is not installed.
     """
+    flip_evaluator = _flip_evaluator()
+    shown = [display_srgb(xyz, exposure).astype(np.float32) for xyz in (b, a)]
+    return float(flip_evaluator.evaluate(*shown, "LDR", applyMagma=False)[1])
+
+
+@cache
+def _flip_evaluator() -> Any:
+    # Its threads wait for each other by spinning: small pictures take a hundred times as long with more than one. They
+    # are counted once, when it is loaded.
+    threads = os.environ.get("OMP_NUM_THREADS")
+    os.environ["OMP_NUM_THREADS"] = "1"
     try:
         import flip_evaluator
     except ImportError as error:
@@ -56,8 +70,12 @@ def flip_error(a: Array, b: Array, exposure: float) -> float:
             field="a bound in flip",
             remedy="pip install 'phoslab[reference]', or give the bound in % or dE.",
         ) from error
-    shown = [display_srgb(xyz, exposure).astype(np.float32) for xyz in (b, a)]
-    return float(flip_evaluator.evaluate(*shown, "LDR", applyMagma=False)[1])
+    finally:
+        if threads is None:
+            del os.environ["OMP_NUM_THREADS"]
+        else:
+            os.environ["OMP_NUM_THREADS"] = threads
+    return flip_evaluator
 
 
 Measure = Callable[[Array, Array, float], float]

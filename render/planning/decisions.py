@@ -11,7 +11,7 @@ from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.model_plan import Choices, ModelPlan, Term
 from phoslab.render.glow_transport import NONE
-from phoslab.render.planning import spectrum_terms, transport_terms
+from phoslab.render.planning import transport_terms
 from phoslab.render.planning.notes import notes
 from phoslab.render.planning.planner import BUDGET, Planner
 from phoslab.render.planning.reduced import check_fit
@@ -52,14 +52,14 @@ def explain(planner: Planner, choices: Choices) -> ModelPlan:
 
 def _decided(planner: Planner, choices: Choices) -> Iterator[Term]:
     """Yield every decision of `choices`; their errors are in the unit of the bound."""
-    request, pilot, scale = planner.request, planner.pilot, planner.slope
+    request = planner.request
     surfaces = dict(choices.surfaces)
     dark = [name for name, s in surfaces.items() if not s.glows]
     glowing = [name for name, s in surfaces.items() if s.glows]
     yield Term(
         "glow",
         f"{len(glowing)} of {len(surfaces)} surfaces",
-        scale * planner.glow_error(surfaces),
+        planner.glow_error(surfaces),
         "estimate",
         f"the light of {_names(dark)} is not seen beside the rest" if dark else "all that can glow is seen",
     )
@@ -68,21 +68,18 @@ def _decided(planner: Planner, choices: Choices) -> Iterator[Term]:
     yield Term(
         "states",
         f"{kept} of {all_states}",
-        scale * planner.state_error(surfaces),
+        planner.state_error(surfaces),
         "estimate",
         "the others have died, were never charged, or fade like one that is kept"
         if kept < all_states
         else "each is seen at some time asked for",
     )
     bands = Bands(np.array(choices.bands_nm))
-    colours = spectrum_terms.errors(
-        spectrum_terms.Sources.of(request.scene, pilot), request.scene.transport, bands
-    )
     yield Term(
         "bands",
         f"{bands.n} of {request.scene.transport.n}",
-        scale * spectrum_terms.picture_error(colours, pilot, request.bound.of_the_whole),
-        "bound",
+        planner.band_error(bands),
+        "bound" if request.bound.of_the_whole else "estimate",
         "each lamp excites each state by one number; light needs no more bands for its colour"
         if bands != request.scene.transport
         else "fewer would change a colour by more, or cost the same",
@@ -91,7 +88,7 @@ def _decided(planner: Planner, choices: Choices) -> Iterator[Term]:
     yield Term(
         "solver",
         choices.solver if len(planner.steps) == 1 else f"{choices.solver}, {choices.step_s:.3g} s",
-        scale * stepped.error,
+        planner.step_error(stepped),
         "bound" if len(planner.steps) == 1 else "estimate",
         "light is constant between its changes: one step to each"
         if len(planner.steps) == 1
@@ -102,14 +99,14 @@ def _decided(planner: Planner, choices: Choices) -> Iterator[Term]:
     yield Term(
         "texels",
         "-" if not glowing else f"{fewest}" if fewest == largest else f"{fewest} to {largest}",
-        scale * planner.texel_error(surfaces),
+        planner.texel_error(surfaces),
         "estimate",
         "as many as the camera can tell apart" if glowing else "nothing glows",
     )
     yield Term(
         "state format",
         choices.state_format,
-        scale * _format_error(choices.state_format, stepped.steps),
+        planner.glow_changed(_format_error(choices.state_format, stepped.steps)),
         "bound",
         "what is stored at each change of light is rounded to it",
     )
@@ -118,11 +115,9 @@ def _decided(planner: Planner, choices: Choices) -> Iterator[Term]:
 
 def _transport(planner: Planner, choices: Choices) -> Iterator[Term]:
     request = planner.request
-    way = transport_terms.inexactness(
-        planner.pilot, request.bound, planner.costs, planner.noise_of(choices), dict(choices.gi)
-    )
+    way = planner.way(choices.gi)
     bounces = planner.pilot.means()[2]
-    share = float((bounces.sum(axis=0) / np.maximum(planner.total, 1e-300)).max())
+    share = float((bounces.sum(axis=0) / np.maximum(planner.pilot.total.mean(axis=1), 1e-300)).max())
     method = choices.gi["method"]
     said = f"glow that others reflect is {share:.1%} of the light"
     endless = method == transport_terms.REFERENCE and choices.gi.get("full", False)

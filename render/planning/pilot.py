@@ -70,7 +70,7 @@ class Pilot:
         lamp_twice: (T,) mean X + Y + Z of lamp light that is reflected twice, which no plan models.
         glow: (T, P, K) glow that comes straight.
         bounces: (n, T, P, K) glow after 1 to n reflections.
-        by_source: (n + 1, T, D) mean X + Y + Z that each drawable's glow brings, straight and by n reflections.
+        from_each: (T, P, 3) the XYZ of each drawable's glow, straight and reflected, by the drawable's number.
         sampled: by the number of the drawable.
         visible: (D,) share of the pixels in which each drawable is seen.
         side_px: (D,) side of the square that each surface would fill on the picture, laid out flat at the distance
@@ -84,7 +84,7 @@ class Pilot:
     lamp_twice: Array
     glow: Array
     bounces: Array
-    by_source: Array
+    from_each: dict[int, Array]
     sampled: dict[int, Sampled]
     visible: Array
     side_px: Array
@@ -111,6 +111,16 @@ class Pilot:
                 factor = auto_exposure(self.pictures[first].astype(np.float32))
             found.append(factor)
         return tuple(found)
+
+    @cached_property
+    def total(self) -> Array:
+        """(T, P) X + Y + Z of the picture."""
+        summed: Array = self.pictures.sum(axis=-1).reshape(len(self.moments), -1)
+        return summed
+
+    def share(self, light: Array) -> Array:
+        """Return (T, P) what (T, P) X + Y + Z is of each pixel's light; 0 where there is none."""
+        return np.divide(light, self.total, out=np.zeros_like(light), where=self.total > 0)
 
     def as_picture(self, radiance: Array) -> Array:
         """Return (T, h, w, 3) XYZ of (T, P, K)."""
@@ -156,15 +166,15 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
     lamp_twice = _lamp_twice(scene, triangles, seen, at, rng) @ to_xyz
     arrivals = _walk(scene, triangles, seen, pixel, rng)
     by_order = np.zeros((REFLECTIONS + 1, len(at), n_pixels, K))
-    by_source = np.zeros((REFLECTIONS + 1, len(at), D))
-    sampled = {}
+    sampled, from_each = {}, {}
     for k, drawable in enumerate(scene.drawables):
         own = np.flatnonzero(arrivals.points.drawable == k)
         if drawable.phosphor is None or not own.size:
             continue
         sampled[k], L = _glow(scene, drawable.phosphor, triangles, arrivals.points[own], at)
         arriving = L * arrivals.weight[own]
-        brought = (arriving @ to_xyz).sum(axis=-1) / n_pixels
+        from_each[k] = np.zeros((len(at), n_pixels, 3))
+        np.add.at(from_each[k].swapaxes(0, 1), arrivals.pixel[own], (arriving @ to_xyz).swapaxes(0, 1))
         order = arrivals.order[own]
         for n in np.unique(order):
             np.add.at(
@@ -172,7 +182,6 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
                 arrivals.pixel[own][order == n],
                 arriving[:, order == n].swapaxes(0, 1),
             )
-            by_source[n, :, k] = brought[:, order == n].sum(axis=1)
     return Pilot(
         scene=scene,
         moments=at,
@@ -181,7 +190,7 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
         lamp_twice=lamp_twice.sum(axis=(1, 2)) / n_pixels,
         glow=by_order[0],
         bounces=by_order[1:],
-        by_source=by_source,
+        from_each=from_each,
         sampled=sampled,
         visible=np.bincount(seen.drawable, minlength=D) / n_pixels,
         side_px=_sides(scene, triangles, seen, pixel, eye, direction, size),

@@ -2,16 +2,17 @@
 
 The triangle inequality is what allows that: a picture with several things left out is off by no more than the sum of
 what each does alone, in relative radiance to first order. The few ways that each decision has are tried in all
-combinations, against a budget for the sum.
+combinations, the cheapest first, against a budget for the sum.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,14 @@ from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.model_plan import Choices, Surface
 from phoslab.render.device import Device
-from phoslab.render.glow_transport import NONE
+from phoslab.render.path_tracer import LLVM, SCALAR, usual_variant
 from phoslab.render.planning import spectrum_terms, state_terms, texel_terms, transport_terms
 from phoslab.render.planning.bounds import Bound
 from phoslab.render.planning.costs import Costs, Work, pictures
 from phoslab.render.planning.pilot import Pilot, look
 from phoslab.render.planning.probe import PATHS, PathNoise, measure_noise
 from phoslab.render.planning.reduced import whole
+from phoslab.render.planning.sensitivity import Sensitivity
 from phoslab.render.planning.step_terms import Stepped, steps
 from phoslab.render.scene import Scene
 
@@ -40,6 +42,9 @@ BUDGET = 0.9
 
 # Of the bound: what leaving out states and surfaces may take; each is tried.
 TOLERANCES = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6)
+
+# From so many s on, a picture is worth a closer look at how noisy its paths are: that takes a tenth of it.
+CLOSER_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -58,9 +63,7 @@ class Planner:
 
     Attributes:
         drawn: how many pictures are drawn where glow is transported.
-        slope: how much a small relative error of the radiance is in the unit of the bound.
         steps: ways to step, the longest first.
-        total: (T,) mean X + Y + Z of the picture.
     """
 
     def __init__(self, request: Request, costs: Costs, device: Device | None = None) -> None:
@@ -74,56 +77,93 @@ class Planner:
                 remedy="Ask for a time at which a lamp is on or something glows.",
             )
         self.drawn = pictures(scene, list(request.moments))
-        self.slope = transport_terms.slope(self.pilot, request.bound)
         self.steps = steps(self.pilot)
-        lamp, glow, bounces = self.pilot.means()
-        self.total: Array = lamp + glow + bounces.sum(axis=0)
-        self._elsewhere = PathNoise(costs.path_noise / math.sqrt(PATHS))
+        self._sensitivity = Sensitivity(self.pilot, request.bound)
+        self._noise: PathNoise | None = None
+        self._closest_look = False
+        self._ways: dict[tuple[tuple[str, Any], ...], transport_terms.Way] = {}
         self._known: dict[int, dict[int, tuple[state_terms.Groups, Array]]] = {}
+        self._lost: dict[int, float] = {}
+        self._fewer: dict[tuple[int, int], float] = {}
+        self._errors: dict[tuple[tuple[str, Surface], ...], tuple[float, float, float]] = {}
 
     def choose(self) -> tuple[Choices, bool]:
         """Return the cheapest choices that are predicted to hold the bound; or those that err least, and False."""
-        best, closest = self._cheapest(self._elsewhere)
-        # How noisy paths are is not worth knowing where no way but one that needs none is in question.
-        if best is None or best[1].gi["method"] != NONE:
-            best, closest = self._cheapest(self.path_noise)
-        return (closest, False) if best is None else (best[1], True)
+        choices = self._cheapest()
+        if (choices is None or self.predict_s(choices) > CLOSER_S) and self.look_closer():
+            choices = self._cheapest()
+        return (self._closest(), False) if choices is None else (choices, True)
 
-    def _cheapest(self, path_noise: PathNoise) -> tuple[tuple[float, Choices] | None, Choices]:
-        """Return the cheapest choices within the budget with their cost in s, and those of the least error."""
+    def _cheapest(self) -> Choices | None:
+        """Return the cheapest choices within the budget."""
         budget = BUDGET * self.request.bound.value
-        best: tuple[float, Choices] | None = None
-        closest: tuple[float, Choices] | None = None
-        ways = list(transport_terms.ways(self.pilot, self.request.bound, self.costs, path_noise))
-        for choices, error in self._rest:
-            for way in ways:
-                tried = replace(choices, gi=way.gi)
-                total = error + way.error
-                if closest is None or total < closest[0]:
-                    closest = total, tried
-                if total <= budget:
-                    cost = self.predict_s(tried)
-                    if best is None or cost < best[0]:
-                        best = cost, tried
-        assert closest is not None
-        return best, closest[1]
+        tried = [
+            (self.predict_s(choices), k, error, choices)
+            for k, (error, choices) in enumerate(
+                (error, replace(rest, gi=gi)) for rest, error in self._rest for gi in self._settings
+            )
+        ]
+        for _, _, error, choices in sorted(tried, key=lambda t: t[:2]):
+            if error <= budget and error + self.way(choices.gi).error <= budget:
+                return choices
+        return None
+
+    def _closest(self) -> Choices:
+        """Return the choices of the least error."""
+        gi = min(self._settings, key=lambda gi: self.way(gi).error)
+        return replace(min(self._rest, key=lambda each: each[1])[0], gi=gi)
+
+    @cached_property
+    def _settings(self) -> list[dict[str, Any]]:
+        return list(transport_terms.settings(self.pilot, self.costs))
+
+    def way(self, gi: Mapping[str, Any]) -> transport_terms.Way:
+        """Return what parameters of `--gi` err by here. How noisy paths are is looked at when it is first asked for."""
+        key = tuple(sorted(gi.items()))
+        if key not in self._ways:
+            noise = self.path_noise if gi["method"] == transport_terms.REFERENCE else PathNoise(0.0)
+            self._ways[key] = transport_terms.judge(self.pilot, self.request.bound, self.costs, noise, gi)
+        return self._ways[key]
 
     @cached_property
     def bands(self) -> dict[int, tuple[Bands, float]]:
         """By their number: the best bands found, and what they err by."""
-        return spectrum_terms.fewest_bands(self.request.scene, self.pilot, self.request.bound.of_the_whole)
+        found = spectrum_terms.fewest_bands(self.request.scene, self.pilot)
+        return {n: (bands, self._band_error(each)) for n, (bands, each) in found.items()}
 
-    @cached_property
+    def band_error(self, bands: Bands) -> float:
+        """Return what is lost by other bands than the scene's."""
+        source = self.request.scene.transport
+        sources = spectrum_terms.Sources.of(self.request.scene, self.pilot)
+        return self._band_error(spectrum_terms.errors(sources, source, bands))
+
+    def _band_error(self, each: Array) -> float:
+        return self._sensitivity.of(spectrum_terms.changed_share(each, self.pilot))
+
+    @property
     def path_noise(self) -> PathNoise:
         """How noisy paths are in this scene."""
+        if self._noise is None:
+            self._noise = self._look_at_noise(SCALAR)
+        return self._noise
+
+    def look_closer(self) -> bool:
+        """Look at the noise of just those paths that pictures take, if there is more to know; return whether it was."""
+        if self._noise is None or self._closest_look or usual_variant() != LLVM:
+            return False
+        self._noise, self._closest_look = self._look_at_noise(LLVM), True
+        self._ways.clear()
+        return True
+
+    def _look_at_noise(self, variant: str) -> PathNoise:
+        elsewhere = PathNoise(self.costs.path_noise / math.sqrt(PATHS))
         if not transport_terms.traces_paths() or not self.pilot.bounces.any():
-            return self._elsewhere
+            return elsewhere
         few, _ = self.bands[min(n for n in self.bands if n >= min(3, max(self.bands)))]
         plain = replace(whole(self.request.scene), bands_nm=tuple(few.edges_nm.tolist()))
         stepped = self.steps[0]
         choices = replace(plain, solver=stepped.solver, step_s=stepped.step_s)
-        noise = measure_noise(self.pilot, choices, device=self._device)
-        return self._elsewhere if noise is None else noise
+        return measure_noise(self.pilot, choices, variant, device=self._device) or elsewhere
 
     def predict_s(self, choices: Choices) -> float:
         """Return the predicted time of all pictures in s."""
@@ -139,46 +179,67 @@ class Planner:
 
     @cached_property
     def _rest(self) -> list[tuple[Choices, float]]:
-        """Choices of all but glow transport that leave some of the budget, with their errors."""
-        return list(self._without_transport(BUDGET * self.request.bound.value))
+        """Choices of all but glow transport that leave some of the budget, with their errors; none beats another."""
+        found = list(self._without_transport(BUDGET * self.request.bound.value)) or [self._finest()]
+        # What they cost with any transport grows with these two.
+        costs = [(self.predict_s(choices), len(choices.bands_nm)) for choices, _ in found]
+        kept: list[int] = []
+        for k in sorted(range(len(found)), key=lambda k: (found[k][1], costs[k])):
+            if not any(costs[j][0] <= costs[k][0] and costs[j][1] <= costs[k][1] for j in kept):
+                kept.append(k)
+        return [found[k] for k in kept]
 
     def _without_transport(self, budget: float) -> Iterator[tuple[Choices, float]]:
-        details = list(dict.fromkeys(self._details(budget * t) for t in TOLERANCES))
-        for (colours, colour_error), stepped, width, detail in itertools.product(
-            self.bands.values(), self.steps, (0.0, *texel_terms.WIDTHS), details
-        ):
-            error = self.slope * (colour_error + stepped.error)
+        details = dict.fromkeys(self._details(budget * t) for t in TOLERANCES)
+        for (bands, band_error), stepped in itertools.product(self.bands.values(), self.steps):
+            error = band_error + self.step_error(stepped)
             if error > budget:
                 continue
-            surfaces = self._sized(dict(detail), width)
-            choices = Choices(
-                bands_nm=tuple(colours.edges_nm.tolist()),
-                surfaces=surfaces,
-                solver=stepped.solver,
-                step_s=stepped.step_s,
-                state_format="f32",
-                gi={"method": NONE},
+            for width, detail in itertools.product((0.0, *texel_terms.WIDTHS), details):
+                surfaces = self._sized(dict(detail), width)
+                more = sum(self._surface_errors(surfaces))
+                if error + more <= budget:
+                    yield self._choices(bands, stepped, surfaces), error + more
+
+    def _finest(self) -> tuple[Choices, float]:
+        """Return the choices of all but glow transport that err least, with their error."""
+        surfaces, stepped = dict(self._details(0.0)), self.steps[-1]
+        error = self.step_error(stepped) + sum(self._surface_errors(surfaces))
+        return self._choices(self.request.scene.transport, stepped, surfaces), error
+
+    @staticmethod
+    def _choices(bands: Bands, stepped: Stepped, surfaces: Mapping[str, Surface]) -> Choices:
+        return Choices(
+            bands_nm=tuple(bands.edges_nm.tolist()),
+            surfaces=surfaces,
+            solver=stepped.solver,
+            step_s=stepped.step_s,
+            state_format="f32",
+            gi={"method": transport_terms.NONE},
+        )
+
+    def _surface_errors(self, surfaces: Mapping[str, Surface]) -> tuple[float, float, float]:
+        key = tuple(surfaces.items())
+        if key not in self._errors:
+            self._errors[key] = (
+                self.glow_error(surfaces),
+                self.state_error(surfaces),
+                self.texel_error(surfaces),
             )
-            error += self.slope * (
-                self.glow_error(surfaces) + self.state_error(surfaces) + self.texel_error(surfaces)
-            )
-            if error <= budget or not any(TOLERANCES[: details.index(detail)]):
-                yield choices, error
+        return self._errors[key]
 
     def _details(self, tolerance: float) -> tuple[tuple[str, Surface], ...]:
         """Return the fewest surfaces and states whose error, all together, is within `tolerance`."""
-        allowed = tolerance / self.slope / max(1, 2 * len(self.request.scene.phosphors))
+        allowed = tolerance / max(1, 2 * len(self.request.scene.phosphors))
         surfaces = dict(whole(self.request.scene).surfaces)
         for k, drawable in self._phosphors():
             full = surfaces[drawable]
-            if self._share(k).max() <= allowed:
+            if self._alone(k) <= allowed:
                 surfaces[drawable] = replace(full, glows=False)
                 continue
             if k in self.pilot.sampled:
                 options = self._groupings(k)
-                fewest = min(
-                    n for n, (_, e) in options.items() if float((e * self._share(k)).max()) <= allowed
-                )
+                fewest = min(n for n in options if self._reduced(k, n) <= allowed)
                 surfaces[drawable] = replace(full, states=options[fewest][0])
         return tuple(surfaces.items())
 
@@ -203,30 +264,49 @@ class Planner:
             if drawable.phosphor is not None:
                 yield k, drawable.name
 
-    def noise_of(self, choices: Choices) -> PathNoise:
-        """Return how noisy paths are in this scene, if the choices have any."""
-        return self.path_noise if choices.gi["method"] == transport_terms.REFERENCE else self._elsewhere
+    def _light(self, k: int) -> Array:
+        """Return (T, P, 3) the XYZ of a surface's glow, straight and reflected."""
+        return self.pilot.from_each.get(k, np.zeros((*self.pilot.total.shape, 3)))
 
-    def _share(self, k: int) -> Array:
-        """Return (T,) the share of the light in the picture that is a surface's glow, straight and reflected."""
-        given = self.pilot.by_source[:, :, k].sum(axis=0)
-        share: Array = np.divide(given, self.total, out=np.zeros_like(given), where=self.total > 0)
-        # Where dark pixels count as much as bright ones, a dim surface may be all there is in many.
-        return share if self.request.bound.of_the_whole else np.where(share > 0, 1.0, 0.0)
+    def _without(self, surfaces: Sequence[int]) -> float:
+        """Return what is lost if surfaces do not glow."""
+        if not surfaces:
+            return 0.0
+        light = sum((self._light(k) for k in surfaces), start=np.zeros(3))
+        pictures = self.pilot.pictures
+        return self._sensitivity.between(pictures - light.reshape(pictures.shape))
 
-    def glow_error(self, surfaces: dict[str, Surface]) -> float:
-        """Return what is lost by surfaces that do not glow, relative to the picture."""
-        shares = [self._share(k) for k, name in self._phosphors() if not surfaces[name].glows]
-        return float(np.sum(shares, axis=0).max()) if shares else 0.0
+    def _changed(self, changes: Mapping[int, Array | float]) -> float:
+        """Return what it adds if the glow of surfaces changes by (T,) shares of itself."""
+        changed = np.zeros_like(self.pilot.total)
+        for k, change in changes.items():
+            changed += np.broadcast_to(change, len(changed))[:, None] * self._light(k).sum(axis=-1)
+        return self._sensitivity.of(self.pilot.share(changed))
 
-    def state_error(self, surfaces: dict[str, Surface]) -> float:
-        """Return what is lost by fewer states, relative to the picture."""
-        errors = [
-            self._share(k) * self._change(k, surfaces[name].states)
-            for k, name in self._phosphors()
-            if surfaces[name].glows and k in self.pilot.sampled
-        ]
-        return float(np.sum(errors, axis=0).max()) if errors else 0.0
+    def _alone(self, k: int) -> float:
+        if k not in self._lost:
+            self._lost[k] = self._without([k])
+        return self._lost[k]
+
+    def _reduced(self, k: int, n: int) -> float:
+        """Return what is lost by the best n states of a surface."""
+        if (k, n) not in self._fewer:
+            self._fewer[k, n] = self._changed({k: self._groupings(k)[n][1]})
+        return self._fewer[k, n]
+
+    def glow_error(self, surfaces: Mapping[str, Surface]) -> float:
+        """Return what is lost by surfaces that do not glow."""
+        return self._without([k for k, name in self._phosphors() if not surfaces[name].glows])
+
+    def state_error(self, surfaces: Mapping[str, Surface]) -> float:
+        """Return what is lost by fewer states."""
+        return self._changed(
+            {
+                k: self._change(k, surfaces[name].states)
+                for k, name in self._phosphors()
+                if surfaces[name].glows and k in self.pilot.sampled
+            }
+        )
 
     def _change(self, k: int, groups: state_terms.Groups) -> Array:
         for known, error in self._groupings(k).values():
@@ -234,14 +314,23 @@ class Planner:
                 return error
         return state_terms.change(self.pilot, self.pilot.sampled[k], groups)
 
-    def texel_error(self, surfaces: dict[str, Surface]) -> float:
-        """Return what is lost by fewer texels, relative to the picture."""
-        errors = [
-            self._share(k) * texel_terms.texel_error(self.pilot, self.costs, k, surfaces[name].atlas_texels)
-            for k, name in self._phosphors()
-            if surfaces[name].glows
-        ]
-        return float(np.sum(errors, axis=0).max()) if errors else 0.0
+    def texel_error(self, surfaces: Mapping[str, Surface]) -> float:
+        """Return what is lost by fewer texels."""
+        return self._changed(
+            {
+                k: texel_terms.texel_error(self.pilot, self.costs, k, surfaces[name].atlas_texels)
+                for k, name in self._phosphors()
+                if surfaces[name].glows
+            }
+        )
+
+    def step_error(self, stepped: Stepped) -> float:
+        """Return what is lost by a step."""
+        return self.glow_changed(stepped.error)
+
+    def glow_changed(self, share: float) -> float:
+        """Return what it adds if all glow changes by a share of itself."""
+        return self._changed(dict.fromkeys(self.pilot.from_each, share))
 
     def stepped(self, choices: Choices) -> Stepped:
         """Return the way of stepping that is nearest to what the choices say."""

@@ -83,25 +83,27 @@ def _largest(exact: Array, merged: Array) -> float:
     return float((np.abs(merged - exact).sum(axis=-1)[seen] / total[seen]).max())
 
 
-def picture_error(each: Array, pilot: Pilot, of_the_whole: bool = True) -> float:
-    """Return the bound on a picture's relative error, of `errors` and the shares of light; the worst of the moments.
+def changed_share(each: Array, pilot: Pilot) -> Array:
+    """Return (T, P) the largest share by which each pixel's light may change, of `errors`."""
+    lamp, glow, first = (
+        (part @ pilot.to_xyz).sum(axis=-1) for part in (pilot.lamp, pilot.glow, pilot.bounces[0])
+    )
+    further = pilot.total - lamp - glow - first
+    return pilot.share(lamp * each[0] + glow * each[1] + first * each[2] + further * each[3])
 
-    Args:
-        of_the_whole: whether the mean over all light counts; else that of the pixel that is worst.
-    """
+
+def picture_error(each: Array, pilot: Pilot) -> float:
+    """Return the bound on a picture's relative error, of `errors` and the shares of light; the worst of the moments."""
     lamp, glow, bounces = pilot.means()
-    if not of_the_whole:
-        there = [part.any() for part in (lamp, glow, bounces[:1], bounces[1:])]
-        return float(each[there].max(initial=0.0))
     total = lamp + glow + bounces.sum(axis=0)
     mixed = lamp * each[0] + glow * each[1] + bounces[0] * each[2] + bounces[1:].sum(axis=0) * each[3]
     return float(np.divide(mixed, total, out=np.zeros_like(total), where=total > 0).max(initial=0.0))
 
 
-def fewest_bands(scene: Scene, pilot: Pilot, of_the_whole: bool = True) -> dict[int, tuple[Bands, float]]:
-    """Return, by the number of bands, the best found and the error: two adjoining ones are merged at a time."""
+def fewest_bands(scene: Scene, pilot: Pilot) -> dict[int, tuple[Bands, Array]]:
+    """Return, by the number of bands, the best found and its `errors`: two adjoining ones are merged at a time."""
     sources = Sources.of(scene, pilot)
-    found = {scene.transport.n: (scene.transport, 0.0)}
+    found = {scene.transport.n: (scene.transport, np.zeros(4))}
     edges = scene.transport.edges_nm
     while edges.size > 2:
         tries = []
@@ -109,12 +111,12 @@ def fewest_bands(scene: Scene, pilot: Pilot, of_the_whole: bool = True) -> dict[
             bands = Bands(np.delete(edges, k))
             if _charges_alike(scene, bands):
                 off = errors(sources, scene.transport, bands)
-                tries.append((picture_error(off, pilot, of_the_whole), k))
+                tries.append((picture_error(off, pilot), k, off))
         if not tries:
             break
-        error, k = min(tries)
+        _, k, off = min(tries, key=lambda tried: tried[:2])
         edges = np.delete(edges, k)
-        found[edges.size - 1] = Bands(edges), error
+        found[edges.size - 1] = Bands(edges), off
     return found
 
 

@@ -7,7 +7,7 @@ the trade, of which the worst counts. The two are added, in the unit of the boun
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
@@ -43,7 +43,7 @@ class Way:
         left_out, inexact: what it adds to the error, in the bound's unit.
     """
 
-    gi: dict[str, Any]
+    gi: Mapping[str, Any]
     left_out: float
     inexact: float
 
@@ -57,34 +57,29 @@ def traces_paths() -> bool:
     return find_spec("mitsuba") is not None
 
 
-def ways(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise) -> Iterator[Way]:
-    """Yield every way that this machine can take.
-
-    Args:
-        path_noise: of so many paths a pixel, in this scene.
-    """
-    yield Way({"method": NONE}, _left_out(pilot, bound, 0), 0.0)
+def settings(pilot: Pilot, costs: Costs) -> Iterator[dict[str, Any]]:
+    """Yield every way that this machine can take, as parameters of `--gi`."""
+    yield {"method": NONE}
     if not pilot.bounces.any():
         return
-    left_out, sure = {n: _left_out(pilot, bound, n) for n in BOUNCES}, _sureness(pilot)
     for measured in costs.gi:
         if measured.method not in METHODS:
             continue
         for n in BOUNCES:
             # What was measured with one reflection says nothing of the cells that send light on, and the other way.
             if (n > 1) == (measured.parameters.get("bounces", 1) > 1):
-                gi = {"method": measured.method, **measured.parameters, "bounces": n}
-                yield Way(gi, left_out[n], _inexact(pilot, bound, n, measured.error, sure))
+                yield {"method": measured.method, **measured.parameters, "bounces": n}
     if traces_paths():
         for samples in SAMPLES:
-            gi = {"method": REFERENCE, "samples": samples, "full": True}
-            yield Way(
-                gi, 0.0, _inexact(pilot, bound, None, path_noise.of(samples), pattern=path_noise.pattern)
-            )
+            yield {"method": REFERENCE, "samples": samples, "full": True}
 
 
-def inexactness(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise, gi: dict[str, Any]) -> Way:
-    """Return what any parameters of `--gi` are expected to err by: as the nearest that was measured."""
+def judge(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise, gi: Mapping[str, Any]) -> Way:
+    """Return what parameters of `--gi` are expected to err by: as the nearest that was measured.
+
+    Args:
+        path_noise: of so many paths a pixel, in this scene.
+    """
     method, order = gi["method"], gi.get("bounces", 1)
     if method == NONE:
         return Way(gi, _left_out(pilot, bound, 0), 0.0)
@@ -144,20 +139,3 @@ def _sureness(pilot: Pilot) -> Array:
     reflected = pilot.means()[2].sum(axis=0)
     spread: Array = np.divide(pilot.spread(), reflected, out=np.zeros_like(reflected), where=reflected > 0)
     return 1 + SIGMAS * spread
-
-
-def slope(pilot: Pilot, bound: Bound) -> float:
-    """Return how much a small relative change of the radiance is in the bound's unit: the worst of a few patterns.
-
-    Either all three of XYZ change by the same share of themselves, or one by that share of all three.
-    """
-    step, worst = 0.01, 0.0
-    shares = ((1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), (1.0, 0.0, -1.0), (-1.0, 1.0, -1.0))
-    alone = (*np.eye(3), *-np.eye(3))
-    for picture, exposure in zip(pilot.pictures, pilot.exposures, strict=True):
-        total = picture.sum(axis=-1, keepdims=True)
-        changes = [*(picture * np.array(share) for share in shares), *(total * one for one in alone)]
-        for change in changes:
-            changed = np.maximum(picture + step * change, 0.0)
-            worst = max(worst, bound.error(changed, picture, exposure) / step)
-    return worst

@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 
 FIRST_SEED = 1000  # those of plans are 0
 
-# Paths at once: a number that was followed before needs no compiling.
-FIRST_SAMPLES, MORE_SAMPLES = (64, 16), (256, 64)
+# Paths a pixel at once, of the two levels: the same each time, since another number is compiled anew.
+AT_ONCE = (128, 32)
 
 
 class Traced:
@@ -70,7 +70,7 @@ class Traced:
             self._size,
             self._scene.supersampling,
             stepping=Stepping(self._choices.solver, self._choices.step_s),
-            transport=TransportParameters(Reference.name, samples=FIRST_SAMPLES[1]),
+            transport=TransportParameters(Reference.name, samples=AT_ONCE[1]),
         )
         with self._device.scope():
             renderer = Renderer(self._device, self._scene, parameters)
@@ -127,8 +127,8 @@ class Truth:
         )
         nothing = np.zeros((2, size[1], size[0], 3))
         self.levels = [
-            Level(coarse, None, FIRST_SEED, MORE_SAMPLES[0], nothing),
-            Level(fine, coarse, 2 * FIRST_SEED, MORE_SAMPLES[1], nothing),
+            Level(coarse, None, FIRST_SEED, AT_ONCE[0], nothing),
+            Level(fine, coarse, 2 * FIRST_SEED, AT_ONCE[1], nothing),
         ]
         if kept:
             for k, level in enumerate(self.levels):
@@ -158,15 +158,15 @@ class Truth:
     def follow(self, bound: Bound, noise: float, limit_s: float, exposure: float) -> None:
         """Follow paths until the noise is below `noise`, in the unit of `bound`, or processors took so long."""
         begin = time.process_time()
-        for level, samples in zip(self.levels, FIRST_SAMPLES, strict=True):
+        for level in self.levels:
             if level.samples == 0:
-                self._add(level, samples)
+                self._add(level)
         while True:
             reached = self.noise(bound, exposure)
             level = max(self.levels, key=lambda each: each.worth)
             if reached <= noise or time.process_time() - begin > limit_s:
                 break
-            self._add(level, level.at_once)
+            self._add(level)
         np.savez(
             self._file,
             few_nm=self._edges_nm,
@@ -175,8 +175,8 @@ class Truth:
             **{f"seconds{k}": np.array(level.seconds) for k, level in enumerate(self.levels)},
         )
 
-    def _add(self, level: Level, samples: int) -> None:
-        begin = time.process_time()
+    def _add(self, level: Level) -> None:
+        begin, samples = time.process_time(), level.at_once
         more = []
         for seed in (level.seed, level.seed + 1):
             picture = level.plus.picture(samples, seed)

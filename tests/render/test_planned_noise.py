@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from phoslab.render import load_scene
+from phoslab.render.path_tracer import usual_variant
 from phoslab.render.planning import render_choices
 from phoslab.render.planning.pilot import look
 from phoslab.render.planning.probe import PATHS, STRATIFIED, PathNoise, measure_noise
@@ -31,7 +32,7 @@ def test_a_picture_is_as_noisy_as_the_probe_says(drawn, device, samples):
     scene, time = drawn
     pilot = look(scene, [scene.schedule.parse_time(time)], SIZE)
     everything = whole(scene)
-    noise = measure_noise(pilot, everything, device=device)
+    noise = measure_noise(pilot, everything, usual_variant(), device=device)
     assert noise is not None
 
     def picture(**gi: object) -> np.ndarray:

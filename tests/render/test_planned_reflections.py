@@ -13,6 +13,7 @@ from phoslab.render.planning.pilot import look
 from phoslab.render.planning.probe import PathNoise
 
 PERCENT = parse_bound("5%")
+NOISE = PathNoise(0.1)
 
 
 def costs(*bounces: int) -> Costs:
@@ -28,9 +29,9 @@ def closed_box(build, rooms):
 
 def left_out(pilot, measured: Costs) -> dict[int, float]:
     return {
-        way.gi["bounces"]: way.left_out
-        for way in transport_terms.ways(pilot, PERCENT, measured, PathNoise(0.1))
-        if way.gi["method"] == "tiles"
+        gi["bounces"]: transport_terms.judge(pilot, PERCENT, measured, NOISE, gi).left_out
+        for gi in transport_terms.settings(pilot, measured)
+        if gi["method"] == "tiles"
     }
 
 
@@ -50,8 +51,11 @@ def test_a_way_that_was_measured_with_one_reflection_is_not_trusted_with_more(cl
 
 def test_paths_leave_nothing_out(closed_box):
     pytest.importorskip("mitsuba")
-    ways = list(transport_terms.ways(closed_box, PERCENT, costs(1), PathNoise(0.1)))
-    paths = [way for way in ways if way.gi["method"] == "reference"]
+    paths = [
+        transport_terms.judge(closed_box, PERCENT, costs(1), NOISE, gi)
+        for gi in transport_terms.settings(closed_box, costs(1))
+        if gi["method"] == "reference"
+    ]
     assert paths
     assert all(way.left_out == 0 for way in paths)
     # Half of the light is reflected: 0.1 of that with 16 paths, and the root of their number.

@@ -95,7 +95,7 @@ def test_paths_begin_where_the_renderer_samples_a_pixel():
     from phoslab.render.device import Device
     from phoslab.render.renderer import Renderer, RenderParameters
 
-    if path_tracer._mitsuba().variant() != path_tracer.LLVM:
+    if path_tracer.usual_variant() != path_tracer.LLVM:
         pytest.skip("without LLVM paths begin anywhere in a pixel")
     scene, size = load_scene(SCENES / "cornell"), (64, 51)
     with Device() as device:
@@ -126,13 +126,11 @@ def test_what_has_faded_by_six_decades_is_traced_as_well():
 
 def test_without_mitsuba_the_error_says_how_to_get_it(monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "mitsuba", None)
-    path_tracer._mitsuba.cache_clear()
     out = tmp_path / "glow.png"
     args = ["render", str(SCENES / "occluder"), "-o", str(out), "--at", "0", "--size", "8x8"]
     assert main([*args, "--gi", "reference"]) == 1
     assert "pip install 'phoslab[reference]'" in capsys.readouterr().err
     assert not out.exists()
-    path_tracer._mitsuba.cache_clear()
 
 
 def test_an_llvm_that_is_too_old_is_passed_over(tmp_path, monkeypatch):
@@ -144,3 +142,8 @@ def test_an_llvm_that_is_too_old_is_passed_over(tmp_path, monkeypatch):
     (tmp_path / "libLLVM-16.so.1").touch()
     (tmp_path / "libLLVM.so.19.1").touch()
     assert path_tracer.find_llvm() == Path(tmp_path / "libLLVM.so.19.1")
+
+
+def test_a_variable_that_names_no_library_leaves_the_path_tracer_without_llvm(tmp_path, monkeypatch):
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM.so"))
+    assert path_tracer.usual_variant() == path_tracer.SCALAR
