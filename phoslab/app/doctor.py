@@ -46,7 +46,7 @@ _RIVALS = {
         "sudo systemctl mask --now brltty-udev.service",
     ),
 }
-_SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader")
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader")
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def _gl() -> Part:
     answer, problem = _probe(_GL_PROBE)
     if problem:
         return Part("OpenGL", "missing", problem, _gl_remedy(problem))
-    software = any(name in answer["renderer"].lower() for name in _SOFTWARE_RENDERERS)
+    software = any(name in answer["renderer"].lower() for name in SOFTWARE_RENDERERS)
     where = "in software: works, slowly" if software else "on the GPU"
     found = f"{answer['version']}, {answer['renderer']} ({where})"
     return Part("OpenGL", "ok", found, details={**answer, "software": software})

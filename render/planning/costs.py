@@ -14,6 +14,7 @@ from phoslab.model_plan import Choices
 from phoslab.render.fade_basis import faded_stretches, fading_rates
 from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.optics import layer_count
+from phoslab.render.path_tracer import usual_variant
 from phoslab.render.scene import Scene
 
 
@@ -36,7 +37,7 @@ class Costs:
         texel_error, texel_power: glow is off by texel_error x^texel_power with texels of x pixels.
         gi: ways that reflect glow.
         path_noise: mean relative error of reflected glow with one path a pixel; it falls with the root of their number.
-        costs_s: s for each of `features`.
+        costs_s: s for each of `features`; those of paths are of the variant of Mitsuba that this machine takes.
     """
 
     texel_error: float
@@ -48,7 +49,7 @@ class Costs:
     def predict_s(self, choices: Choices, work: Work) -> float:
         """Return the predicted time of all pictures in s."""
         pixels = work.size[0] * work.size[1]
-        total = float(sum(self.costs_s[k] * v for k, v in features(choices, work).items()))
+        total = float(sum(self.costs_s.get(k, 0.0) * v for k, v in features(choices, work).items()))
         alike = [m for m in self.gi if m.method == choices.gi["method"]]
         if alike:
             nearest = min(alike, key=lambda m: unlike(m.parameters, choices.gi))
@@ -75,11 +76,22 @@ def load_costs(path: str | PathLike[str] | None = None) -> Costs:
         texel_power=data["texels"]["power"],
         gi=tuple(MeasuredWay(**way) for way in data["gi"]),
         path_noise=data["path_noise"],
-        costs_s=dict(data["costs_s"]),
+        costs_s={**data["costs_s"], **_of_paths(data)},
     )
 
 
-FEATURES = ("start", "texel_layer", "sample_layer", "texel_step", "path_picture", "path")
+def _of_paths(data: Mapping[str, Any]) -> dict[str, float]:
+    """Return what paths cost with the variant of Mitsuba that this machine takes, or else any that was measured."""
+    known: Mapping[str, dict[str, float]] = data.get("paths_s", {})
+    usual = usual_variant()
+    if usual in known or "path" not in data["costs_s"]:
+        return dict(known.get(usual) or next(iter(known.values())))
+    # A trade from before variants were told apart.
+    return {}
+
+
+FEATURES = ("start", "texel_layer", "sample_layer", "texel_step")
+PATH_FEATURES = ("path_start", "path_picture", "path")
 
 
 @dataclass(frozen=True)
@@ -105,7 +117,8 @@ def features(choices: Choices, work: Work) -> dict[str, float]:
     """Return how often each thing that takes time is done.
 
     start: once. texel_layer: a texel in four bands. sample_layer: a sample of a picture in four bands. texel_step: a
-    texel and a step. path_picture: three bands of a picture for the path tracer. path: one path of it.
+    texel and a step. path_start: once where paths are traced, for what is compiled. path_picture: three bands of a
+    picture for the path tracer. path: one path of it.
     """
     layers = layer_count(len(choices.bands_nm) - 1)
     texels = sum(s.atlas_texels**2 for s in choices.surfaces.values() if s.glows)
@@ -119,6 +132,7 @@ def features(choices: Choices, work: Work) -> dict[str, float]:
         "texel_layer": float(texels * layers),
         "sample_layer": float(pixels * work.supersampling**2 * layers * drawn),
         "texel_step": float(texels * work.steps),
+        "path_start": float(traced > 0),
         "path_picture": float(traced),
         "path": float(traced * pixels * choices.gi.get("samples", TransportParameters.samples)),
     }

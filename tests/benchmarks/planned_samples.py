@@ -1,16 +1,15 @@
-"""What a bound saves on the sample scenes: python tests/benchmarks/planned_samples.py -o DIR [--side 512] [--limit S]
+"""What a bound saves on the sample scenes: a part of `planner.py`.
 
 Each scene is rendered with everything on (all bands and states, glow followed to its end by as many paths as the
 command takes by default), and by plans for some bounds: their time, and their true error against `planned_truth.py`,
-whose noise is shown beside it. Truths are kept in DIR, and the same command goes on from there.
+whose noise is shown beside it.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Protocol
 
 from planned_case import Case
 
@@ -22,66 +21,84 @@ from phoslab.render.planning.reduced import whole
 
 SCENES = Path(__file__).parent.parent.parent / "sample_data" / "scenes"
 NAMES = ("occluder", "fading", "confetti", "cornell", "corridor")
-BOUNDS = ("5%", "2%", "1%")
+SIDE, BOUNDS = 512, ("5%", "2%", "1%")
 EVERYTHING = {"method": "reference", "samples": 256, "full": True}
 
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for truths and results")
-    parser.add_argument("--side", type=int, default=512)
-    parser.add_argument("--limit", type=float, default=3600, help="s for one truth in one run")
-    parser.add_argument("--most", type=float, default=600, help="s: longer plans are not run")
-    parser.add_argument("--scenes", default=",".join(NAMES))
-    parser.add_argument("--trade", type=Path, help="as of phoslab plan")
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    size, rows = (args.side, args.side), []
-    with Device() as device:
-        for name in args.scenes.split(","):
-            scene = load_scene(SCENES / name)
-            moment = "off+1s" if scene.schedule.off_s is not None else scene.times[0]
-            file = args.out / f"{name}-{args.side}.npz"
-            finest = parse_bound(BOUNDS[-1])
-            case = Case(device, scene, moment, finest, size, file, args.trade)
-            case.learn(args.limit)
-            head = f"{name} at {moment}, {args.side}²"
-            error, took = case.run(replace(whole(scene), gi=EVERYTHING))
-            print(
-                f"{head}, everything: {error:.2g} % in {took.wall_s:.1f} s (truth within {case.noise:.2g} %)",
-                flush=True,
-            )
-            rows.append(
-                {"scene": name, "bound": None, "error": error, "seconds": took.wall_s, "noise": case.noise}
-            )
-            for bound in BOUNDS:
-                case = Case(device, scene, moment, parse_bound(bound), size, file, args.trade)
-                try:
-                    _, plan, planning = case.plan()
-                except PhoslabError as refused:
-                    print(f"{head}, {bound}: {refused}", flush=True)
-                    continue
-                said = ", ".join(f"{k} {v}" for k, v in plan.choices.gi.items())
-                if plan.predicted_s > args.most:
-                    print(f"{head}, {bound}: {said} would take {plan.predicted_s:.0f} s", flush=True)
-                    continue
-                error, took = case.run(plan.choices)
-                print(
-                    f"{head}, {bound}: {error:.2g} % (predicted {plan.predicted_error:.2g}) in {took.wall_s:.1f} s "
-                    f"(predicted {plan.predicted_s:.1f}), planned in {planning.wall_s:.2f} s: {said}",
-                    flush=True,
-                )
-                rows.append(
-                    {
-                        "scene": name,
-                        "bound": bound,
-                        "error": error,
-                        "seconds": took.wall_s,
-                        "gi": plan.choices.gi,
-                    }
-                )
-    (args.out / f"samples-{args.side}.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
+# Plans that are predicted to take longer are not run.
+MOST_S = 1200.0
 
 
-if __name__ == "__main__":
-    main()
+class Results(Protocol):
+    """Where results are kept, by part and name."""
+
+    def done(self, part: str, name: str) -> bool: ...
+    def add(self, part: str, name: str, result: dict[str, Any]) -> None: ...
+
+
+def run(device: Device, folder: Path, results: Results, limit_s: float, trade: Path | None) -> None:
+    """Render what is not there yet.
+
+    Args:
+        limit_s: as of `planner.py`.
+    """
+    for name in NAMES:
+        scene = load_scene(SCENES / name)
+        moment = "off+1s" if scene.schedule.off_s is not None else scene.times[0]
+        for bound in ("everything", *BOUNDS):
+            key = f"{name} {bound}"
+            if results.done("samples", key):
+                continue
+            finest = bound if bound in BOUNDS else BOUNDS[-1]
+            file = folder / f"{name}-{SIDE}.npz"
+            case = Case(device, scene, moment, parse_bound(finest), (SIDE, SIDE), file, trade)
+            if not case.truth.levels[0].samples:
+                case.learn(limit_s)
+            about = {"scene": name, "plan": bound, "truth_noise": case.noise}
+            result = {**about, **_result(case, bound)}
+            results.add("samples", key, result)
+            print("samples: " + _line(result), flush=True)
+
+
+def _result(case: Case, bound: str) -> dict[str, Any]:
+    if bound == "everything":
+        error, took = case.run(replace(whole(case.scene), gi=EVERYTHING))
+        return {"gi": EVERYTHING, "error": error, "wall_s": took.wall_s, "cpu_s": took.cpu_s}
+    try:
+        _, plan, planning = case.plan()
+    except PhoslabError as refused:
+        return {"refused": str(refused)}
+    about = {
+        "gi": dict(plan.choices.gi),
+        "predicted": plan.predicted_error,
+        "predicted_s": plan.predicted_s,
+        "planning_cpu_s": planning.cpu_s,
+    }
+    if plan.predicted_s > MOST_S:
+        return about
+    error, took = case.run(plan.choices)
+    return {**about, "error": error, "wall_s": took.wall_s, "cpu_s": took.cpu_s}
+
+
+def table(results: list[dict[str, Any]]) -> list[str]:
+    """Return the results as a table in Markdown."""
+    if not results:
+        return []
+    return [
+        "",
+        f"| scene, {SIDE}² | plan | way | error, % | predicted | truth within | processors, s | predicted | planning |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        *("| " + _line(result) + " |" for result in results),
+    ]
+
+
+def _line(result: dict[str, Any]) -> str:
+    if "refused" in result:
+        return f"{result['scene']} | {result['plan']} | refused: {result['refused']}"
+
+    def said(field: str) -> str:
+        value = result.get(field)
+        return "-" if value is None else f"{value:.2g}" if value < 100 else f"{value:.0f}"
+
+    way = ", ".join(str(v) for k, v in result["gi"].items() if k != "full")
+    fields = ("error", "predicted", "truth_noise", "cpu_s", "predicted_s", "planning_cpu_s")
+    return " | ".join([result["scene"], result["plan"], way, *(said(f) for f in fields)])

@@ -1,11 +1,18 @@
-"""How often a plan holds its bound, and how near it is to the cheapest: python tests/benchmarks/planner.py -o DIR
+"""How often a plan holds its bound, how near it is to the cheapest, and what it saves: every measure of planning.md.
 
-Scenes are drawn from seeds (tests/render/planned_scenes.py). The truth has the material's own bands, all states, the
-reference solver, and glow followed to its end by so many paths that their noise is a fifth of the bound
-(`planned_truth.py`). Truths and results are kept in DIR, and the same command goes on from there; `--limit S` gives a
-truth so many seconds a run, and what is not known by then is said to be unknown. `--sweep N` runs, for the first N
-scenes, all plans of a grid that are predicted to be cheaper than twice the chosen one, in the order of that cost, until
-one holds the bound: that is the cheapest.
+    PYTHONPATH=. python tests/benchmarks/planner.py -o DIR
+
+hold      scenes drawn from seeds (tests/render/planned_scenes.py), bounds in %
+dE, flip  the first few of them with bounds in other units
+sweep     for the first few whose truth is known, plans of a grid in the order of their predicted cost until one holds
+          the bound: that is the cheapest. Those that are predicted to err by more than four bounds are not run.
+samples   the sample scenes (`planned_samples.py`)
+
+The truth has the material's own bands, all states, the reference solver, and glow followed to its end by so many paths
+that their noise is a fifth of the bound (`planned_truth.py`). Truths and results are kept in DIR; the same command goes
+on from there, and does again what had no truth before (`--limit S`: so many s of processors for a truth in one run).
+What is not known by then is said to be unknown. Results are those of the code that first found them: take another DIR
+for other code.
 """
 
 from __future__ import annotations
@@ -15,12 +22,13 @@ import importlib.util
 import itertools
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+import planned_samples
 from planned_case import KNOWN, Case
 
 from phoslab.errors import PhoslabError
@@ -34,6 +42,11 @@ from phoslab.render.planning.reduced import whole
 
 # What a bound in % becomes in other units: as wide a range of what can be seen.
 OTHER_UNITS = {"%": 1.0, "dE": 0.4, "flip": 0.008}
+
+# What is predicted to err by more than so many bounds is not in the sweep.
+HOPELESS = 4.0
+
+PARTS = ("hold", "dE", "flip", "sweep", "samples")
 
 
 def drawn_scene(folder: Path, seed: int) -> Any:
@@ -54,15 +67,16 @@ def grid(planner: Planner) -> Iterator[Choices]:
     plain = whole(planner.request.scene)
     most = max(planner.bands)
     kept = [planner.bands[n] for n in sorted({most, min(n for n in planner.bands if n >= min(6, most))})]
-    noise = planner.path_noise
-    for way in transport_terms.ways(planner.pilot, planner.request.bound, planner.costs, noise):
-        if way.gi.get("samples") in transport_terms.SAMPLES[1::2]:
+    for gi in transport_terms.settings(planner.pilot, planner.costs):
+        if gi.get("samples") in transport_terms.SAMPLES[1::2]:
+            continue
+        if planner.way(gi).error > HOPELESS * planner.request.bound.value:
             continue
         for (bands, _), t in itertools.product(kept, (1, 4)):
             surfaces = {
                 k: replace(s, atlas_texels=max(16, s.atlas_texels // t)) for k, s in plain.surfaces.items()
             }
-            yield replace(plain, bands_nm=tuple(bands.edges_nm.tolist()), surfaces=surfaces, gi=way.gi)
+            yield replace(plain, bands_nm=tuple(bands.edges_nm.tolist()), surfaces=surfaces, gi=gi)
 
 
 def drawn_case(
@@ -98,9 +112,15 @@ def hold(seed: int, case: Case) -> dict[str, Any]:
     }
 
 
-def sweep(case: Case) -> dict[str, Any]:
+def noise_alone(seed: int, case: Case) -> dict[str, Any]:
+    """Return how well a truth is known."""
+    return {"seed": seed, "bound": str(case.bound), "time": case.time, "noise": case.noise}
+
+
+def sweep(seed: int, case: Case) -> dict[str, Any]:
     """Return how the chosen plan's time compares with that of the cheapest of the grid that holds the bound."""
     planner, plan, _ = case.plan()
+    about = {"seed": seed, "bound": str(case.bound), "time": case.time}
     tried = sorted(grid(planner), key=planner.predict_s)
     for count, choices in enumerate(tried, start=1):
         error, least = case.run(choices)
@@ -108,8 +128,9 @@ def sweep(case: Case) -> dict[str, Any]:
             # Each once more, since what is run first compiles.
             took = min(case.run(plan.choices)[1].cpu_s for _ in range(2))
             least_s = min(least.cpu_s, case.run(choices)[1].cpu_s)
-            return {"ratio": took / least_s, "cheapest": choices.gi, "tried": count, "of": len(tried)}
-    return {"ratio": None, "tried": len(tried), "of": len(tried)}
+            found = {"ratio": took / least_s, "cheapest": choices.gi, "chosen": plan.choices.gi}
+            return {**about, **found, "tried": count, "of": len(tried)}
+    return {**about, "ratio": None, "tried": len(tried), "of": len(tried)}
 
 
 def say(result: dict[str, Any]) -> str:
@@ -117,27 +138,45 @@ def say(result: dict[str, Any]) -> str:
     head = f"{result['seed']} {result['bound']} at {result['time']}: "
     if "refused" in result:
         return head + result["refused"]
-    value = parse_bound(result["bound"]).value
-    known = result["noise"] <= KNOWN * value
-    verdict = "holds" if result["error"] <= value else "BREAKS"
+    if "ratio" in result:
+        ratio = (
+            "none of the grid holds" if result["ratio"] is None else f"{result['ratio']:.2f} of the cheapest"
+        )
+        return f"{head}{ratio}, which was number {result['tried']} of {result['of']}"
+    noise = f"noise of the truth {result['noise']:.2g}"
+    if "error" not in result:
+        return head + noise
+    verdict = "holds" if result["error"] <= parse_bound(result["bound"]).value else "BREAKS"
     terms = "; ".join(f"{name} {choice}" for name, (choice, _) in result["terms"].items())
     return (
-        f"{head}{verdict}{'' if known else ' (truth unknown)'}, {result['error']:.3g} "
-        f"(predicted {result['predicted']:.3g}, noise of the truth {result['noise']:.2g}), {result['seconds']:.2f} s "
-        f"(predicted {result['predicted_s']:.2f}), planned in {result['planning_s']:.2f} s: {terms}"
+        f"{head}{verdict}{'' if known(result) else ' (truth unknown)'}, {result['error']:.3g} (predicted "
+        f"{result['predicted']:.3g}, {noise}), {result['cpu_s']:.2f} s of processors (predicted "
+        f"{result['predicted_s']:.2f}), planned in {result['planning_cpu_s']:.2f} s: {terms}"
     )
 
 
-def summary(results: list[dict[str, Any]]) -> list[str]:
-    """Return what all results say together."""
+def summary(book: Book) -> list[str]:
+    """Return what all results come to."""
+    lines = [line for part in ("hold", "dE", "flip") if book.of(part) for line in held(part, book.of(part))]
+    ratios = [r["ratio"] for r in book.of("sweep") if r["ratio"] is not None]
+    if ratios:
+        lines.append(
+            f"sweep: time of processors over that of the cheapest of the grid: median {median(ratios):.2f}, worst "
+            f"{max(ratios):.2f}, of {len(ratios)} scenes"
+        )
+    return [*lines, *planned_samples.table(book.of("samples"))]
+
+
+def held(part: str, results: list[dict[str, Any]]) -> list[str]:
+    """Return how many bounds held, and what planning took."""
     made = [r for r in results if "refused" not in r]
-    known = [r for r in made if r["noise"] <= KNOWN * parse_bound(r["bound"]).value]
-    held = [r for r in known if r["error"] <= parse_bound(r["bound"]).value]
+    sure = [r for r in made if known(r)]
+    over = [r["error"] / parse_bound(r["bound"]).value for r in sure]
     lines = [
-        f"the bound held in {len(held)} of {len(known)} whose truth is known; "
-        f"{len(made) - len(known)} unknown, {len(results) - len(made)} refused"
+        f"{part}: the bound held in {sum(x <= 1 for x in over)} of {len(sure)} whose truth is known; "
+        f"{len(made) - len(sure)} unknown, {len(results) - len(made)} refused"
     ]
-    unknown = [r for r in made if r not in known]
+    unknown = [r for r in made if r not in sure]
     if unknown:
         # Noise of paths in the plan and in the truth is independent: their squares add.
         alone = [
@@ -145,65 +184,86 @@ def summary(results: list[dict[str, Any]]) -> list[str]:
             for r in unknown
         ]
         lines.append(
-            f"of the unknown, {sum(a <= 1 for a in alone)} hold once the truth's own noise is taken off, as squares; "
-            f"the worst is at {max(alone):.2f} of its bound"
+            f"{part}: of the unknown, {sum(a <= 1 for a in alone)} hold once the truth's own noise is taken off, as "
+            f"squares; the worst is at {max(alone):.2f} of its bound"
         )
     if made:
-        shares = [r["planning_cpu_s"] / r["cpu_s"] for r in made]
         within = sum(r["planning_cpu_s"] <= max(1.0, 0.1 * r["cpu_s"]) for r in made)
+        loose = median(r["predicted"] / max(r["error"], 1e-12) for r in made)
         lines.append(
-            f"planning: median {median(r['planning_cpu_s'] for r in made):.2f} s of processors "
-            f"({median(r['planning_s'] for r in made):.2f} s on the clock), {median(shares):.2f} of the picture; "
-            f"within 1 s or a tenth of it in {within} of {len(made)}"
-        )
-    ratios = [r["sweep"]["ratio"] for r in made if "sweep" in r and r["sweep"]["ratio"] is not None]
-    if ratios:
-        lines.append(
-            f"time of processors over the cheapest of the grid: median {median(ratios):.2f}, worst {max(ratios):.2f}, "
-            f"of {len(ratios)} scenes"
+            f"{part}: planning took {median(r['planning_cpu_s'] for r in made):.2f} s of processors in the median, "
+            f"{max(r['planning_cpu_s'] for r in made):.2f} s at most; within 1 s or a tenth of the picture in {within} "
+            f"of {len(made)}; predicted over true error: median {loose:.2f}"
         )
     return lines
+
+
+class Book:
+    """Results by part and name, kept in a file."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+
+    def of(self, part: str) -> list[dict[str, Any]]:
+        """Return the results of a part."""
+        return list(self._kept.get(part, {}).values())
+
+    def done(self, part: str, name: str) -> bool:
+        """Whether there is nothing more to learn."""
+        result = self._kept.get(part, {}).get(name)
+        return result is not None and ("noise" not in result or known(result))
+
+    def add(self, part: str, name: str, result: dict[str, Any]) -> None:
+        """Keep a result."""
+        self._kept.setdefault(part, {})[name] = result
+        self._file.write_text(json.dumps(self._kept, indent=1), encoding="utf-8")
+
+
+def known(result: dict[str, Any]) -> bool:
+    """Whether the noise of the truth is small beside the bound."""
+    return bool(result["noise"] <= KNOWN * parse_bound(result["bound"]).value)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for truths and results")
-    parser.add_argument("-n", type=int, default=40)
-    parser.add_argument("--first", type=int, default=1000, help="the first seed")
-    parser.add_argument("--side", type=int, default=64)
-    parser.add_argument("--unit", choices=list(OTHER_UNITS), default="%")
-    parser.add_argument("--limit", type=float, default=3600, help="s for one truth in one run")
-    parser.add_argument("--sweep", type=int, default=0)
-    parser.add_argument("--truths", action="store_true", help="follow paths for the truths alone")
-    parser.add_argument("--kept", action="store_true", help="run nothing: say what was found before")
+    parser.add_argument("-n", type=int, default=40, help="scenes of hold")
+    parser.add_argument("--few", type=int, default=5, help="scenes of dE and of flip")
+    parser.add_argument("--swept", type=int, default=8, help="scenes of sweep")
+    parser.add_argument("--first", type=int, default=9000, help="the first seed")
+    parser.add_argument("--side", type=int, default=64, help="of drawn scenes, in pixels")
+    parser.add_argument("--limit", type=float, default=600, help="s of processors for one truth in one run")
+    parser.add_argument("--parts", default=",".join(PARTS), help="of what is above (default: all)")
+    parser.add_argument("--truths", action="store_true", help="follow paths for the truths of hold alone")
     parser.add_argument("--trade", type=Path, help="as of phoslab plan")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    results: list[dict[str, Any]] = []
-    swept = 0
-    name = f"results-{args.first}-{args.side}-{args.unit.replace('%', 'percent')}.json"
-    if args.kept:
-        print("\n".join(summary(json.loads((args.out / name).read_text(encoding="utf-8")))))
-        return
-    with Device() as device:
-        for seed in range(args.first, args.first + args.n):
-            case = drawn_case(device, args.out, seed, (args.side, args.side), args.unit, args.trade)
-            known = case.learn(args.limit)
-            if args.truths:
-                share = case.noise / case.bound.value
-                print(
-                    f"{seed} {case.bound}: noise {share:.2f} of the bound, {case.truth.seconds:.0f} s",
-                    flush=True,
-                )
+    book, parts = Book(args.out / "results.json"), args.parts.split(",")
+    seeds = range(args.first, args.first + args.n)
+
+    def each(part: str, some: Sequence[int], unit: str, run: Callable[[int, Case], dict[str, Any]]) -> None:
+        for seed in some:
+            if book.done(part, str(seed)):
                 continue
-            result = hold(seed, case)
-            if swept < args.sweep and known and "refused" not in result:
-                result["sweep"] = sweep(case)
-                swept += 1
-            results.append(result)
-            print(say(result), flush=True)
-            (args.out / name).write_text(json.dumps(results, indent=1), encoding="utf-8")
-    print("\n".join(summary(results)))
+            case = drawn_case(device, args.out, seed, (args.side, args.side), unit, args.trade)
+            case.learn(args.limit)
+            result = run(seed, case)
+            print(f"{part}: {say(result)}", flush=True)
+            if not args.truths:
+                book.add(part, str(seed), result)
+
+    with Device() as device:
+        if "hold" in parts:
+            each("hold", seeds, "%", noise_alone if args.truths else hold)
+        for unit in {"dE", "flip"} & set(parts):
+            each(unit, seeds[: args.few], unit, hold)
+        if "sweep" in parts:
+            held = [r["seed"] for r in book.of("hold") if "noise" in r and known(r)]
+            each("sweep", held[: args.swept], "%", sweep)
+        if "samples" in parts:
+            planned_samples.run(device, args.out, book, args.limit, args.trade)
+    print("\n".join(summary(book)))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,9 @@
 Each scene is rendered at one moment of its darkness, small, with one choice changed at a time, and is held against the
 same with everything on and glow followed to its end by the path tracer. What is learnt of each way (how far off it is
 in what it does model, how long each part takes) is what `phoslab plan` reads.
+
+Where processors draw, time is that of all of them together, which says the same on a machine that others use. Where a
+graphics card draws, it is that on the clock.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phoslab.app.doctor import SOFTWARE_RENDERERS
 from phoslab.app.trades import model_page
 from phoslab.app.trades.model_page import Point
 from phoslab.app.trades.page import write_trade
@@ -26,14 +30,18 @@ from phoslab.render import Scene, load_scene
 from phoslab.render.device import Device
 from phoslab.render.glow_methods import METHODS
 from phoslab.render.glow_transport import NONE, TransportParameters
+from phoslab.render.path_tracer import LLVM, SCALAR, UNLIMITED, trace, usual_variant
+from phoslab.render.phosphor_state import Stepping
 from phoslab.render.planning import render_choices
 from phoslab.render.planning.bounds import radiance_error
-from phoslab.render.planning.costs import FEATURES, Work, features
+from phoslab.render.planning.costs import FEATURES, PATH_FEATURES, Work, features
 from phoslab.render.planning.pilot import Pilot, look
 from phoslab.render.planning.reduced import whole
 from phoslab.render.planning.spectrum_terms import fewest_bands
 from phoslab.render.planning.state_terms import fewer_states
 from phoslab.render.planning.texel_terms import PACKED
+from phoslab.render.reference import Reference
+from phoslab.render.renderer import Renderer, RenderParameters
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -42,6 +50,9 @@ SCENES = ("cornell", "occluder", "corridor")
 SIDE, QUICK_SIDE = 64, 32
 TRUTH_SAMPLES, QUICK_TRUTH_SAMPLES = 512, 64
 SAMPLES = (8, 32, 128)
+
+# Paths a pixel that are timed, and how often: the shortest counts.
+TIMED_SAMPLES, REPEATS = (4, 64), 3
 
 # Directions and reflections that a way is measured with, where it knows either; else with its defaults.
 SETTINGS = {"tiles": ((4, 8, 16, 64), (1, 3)), "dss-z": ((4, 16), (1,))}
@@ -119,7 +130,7 @@ def _one_scene(
         _point(once, truth, "reflections", "1"),
         _point(bare, truth, "reflections", "0"),
     ]
-    known: dict[str, Any] = {"gi": [], "noise": [], "texels": []}
+    known: dict[str, Any] = {"gi": [], "noise": [], "texels": [], "paths": _path_costs(device, case, plain)}
 
     traced = {1: once.picture}
     for method, parameters in _ways(quick):
@@ -160,6 +171,53 @@ def _one_scene(
         if dimension == "texels":
             known["texels"].append((_width_px(case, choices), points[-1].error))
     return runs, points, known
+
+
+def _path_costs(device: Device, case: Case, plain: Choices) -> dict[str, dict[str, float]]:
+    """Return what paths cost, by each variant of Mitsuba that this machine has: `PATH_FEATURES` in s."""
+    parameters = RenderParameters(
+        case.size,
+        case.scene.supersampling,
+        stepping=Stepping(plain.solver, plain.step_s),
+        transport=TransportParameters(REFERENCE),
+    )
+    with device.scope():
+        renderer = Renderer(device, case.scene, parameters)
+        if not isinstance(renderer.transport, Reference):
+            return {}
+        renderer.light(case.scene.schedule.parse_time(case.time))
+        meshes, camera = renderer.transport.meshes(), renderer.gbuffer.camera
+    clock = _clock(device)
+
+    def seconds(variant: str, samples: int, runs: int = REPEATS) -> float:
+        least = np.inf
+        for _ in range(runs):
+            begin = clock()
+            trace(
+                meshes,
+                camera,
+                case.size,
+                reflections=UNLIMITED,
+                samples=samples,
+                direct=False,
+                grid=case.scene.supersampling,
+                variant=variant,
+            )
+            least = min(least, clock() - begin)
+        return least
+
+    pictures = -(-case.scene.transport.n // 3)
+    costs = {}
+    for variant in dict.fromkeys((usual_variant(), SCALAR)):
+        # A number of paths that no cache on this machine knows is compiled for, as that of most plans is.
+        fresh = 2 * TIMED_SAMPLES[0] + time.time_ns() % 997
+        start = max(seconds(variant, fresh, 1) - seconds(variant, fresh), 0.0) if variant == LLVM else 0.0
+        few, many = (seconds(variant, n) for n in TIMED_SAMPLES)
+        path = max(many - few, 0.0) / np.ptp(TIMED_SAMPLES) / pictures / (case.size[0] * case.size[1])
+        picture = few / pictures - path * TIMED_SAMPLES[0] * case.size[0] * case.size[1]
+        values = (start, max(picture, 0.0), path)
+        costs[variant] = dict(zip(PATH_FEATURES, map(float, values), strict=True))
+    return costs
 
 
 def _parts_s(device: Device, case: Case, choices: Choices, plain: Choices) -> dict[str, float]:
@@ -227,10 +285,17 @@ def _said(method: str, parameters: dict[str, Any]) -> str:
     return ", ".join([method, *(f"{v} {k}" for k, v in parameters.items())])
 
 
+def _clock(device: Device) -> Callable[[], float]:
+    """Return what tells time in s."""
+    software = any(name in device.renderer.lower() for name in SOFTWARE_RENDERERS)
+    return time.process_time if software else time.perf_counter
+
+
 def _run(device: Device, case: Case, choices: Choices) -> Run:
-    begin = time.perf_counter()
+    clock = _clock(device)
+    begin = clock()
     frames = render_choices(case.scene, choices, [case.time], case.size, device=device)
-    took = time.perf_counter() - begin
+    took = clock() - begin
     return Run(case, choices, frames[0].xyz.astype(np.float64), took)
 
 
@@ -255,6 +320,12 @@ def _conclusions(runs: Sequence[Run], learnt: Sequence[dict[str, Any]]) -> dict[
         "gi": list(gi.values()),
         "path_noise": max((n for known in learnt for n in known["noise"]), default=1.0),
         "costs_s": _fit_costs(runs),
+        "paths_s": {
+            variant: {
+                f: float(np.mean([known["paths"][variant][f] for known in learnt])) for f in PATH_FEATURES
+            }
+            for variant in learnt[0]["paths"]
+        },
     }
 
 
@@ -268,12 +339,12 @@ def _power_law(points: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 
 def _fit_costs(runs: Sequence[Run]) -> dict[str, float]:
-    """Return s for each feature: the least squares of the relative error, none below 0."""
+    """Return s for each feature, of pictures without transport: least squares of the relative error, none below 0."""
     from scipy.optimize import nnls
 
     rows, seconds = [], []
     for run in runs:
-        if run.choices.gi["method"] in (NONE, REFERENCE):
+        if run.choices.gi["method"] == NONE:
             # One moment of darkness: light came on, and went off.
             count = features(run.choices, Work(run.case.size, run.case.scene.supersampling, 1, 1, 2))
             rows.append([count[name] for name in FEATURES])

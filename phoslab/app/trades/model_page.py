@@ -75,10 +75,16 @@ def sections(points: Sequence[Point], data: dict[str, Any]) -> list[Section]:
             [
                 Table(
                     "costs",
-                    "Time of each part, fitted to all runs without tiles.",
+                    "Time of each part, fitted to all runs without transport.",
                     ("part", "s"),
                     [(k, v) for k, v in data["costs_s"].items()],
-                )
+                ),
+                Table(
+                    "path-costs",
+                    "Time of paths, by the variant of Mitsuba.",
+                    ("variant", "part", "s"),
+                    [(name, k, v) for name, each in data["paths_s"].items() for k, v in each.items()],
+                ),
             ],
         ),
     ]
