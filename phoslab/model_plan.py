@@ -20,6 +20,9 @@ from phoslab.journal import decode
 
 SCHEMA = "phoslab-plan/1"
 
+# What no plan models.
+OUTSIDE = "outside"
+
 _LARGEST_BYTES = 1 << 24
 
 
@@ -31,7 +34,8 @@ class Term:
         name: what is decided.
         choice: what was chosen.
         error: what it adds to the error, in the bound's unit.
-        kind: "bound" where the error cannot be larger, "estimate" where it was measured on samples.
+        kind: "bound" where the error cannot be larger, "estimate" where it was measured on samples, "outside" where no
+            plan models it: not in the sum, nor in the bound.
         why: the reason, in one line.
     """
 
@@ -101,7 +105,12 @@ class ModelPlan:
     @property
     def predicted_error(self) -> float:
         """The sum of what all decisions add, in the bound's unit."""
-        return math.fsum(term.error for term in self.terms)
+        return math.fsum(term.error for term in self.terms if term.kind != OUTSIDE)
+
+    @property
+    def worst(self) -> Term:
+        """The decision that adds most."""
+        return max((t for t in self.terms if t.kind != OUTSIDE), key=lambda term: term.error)
 
     def to_json(self) -> str:
         """Return the plan file's text; `read_plan` gives back the same plan."""

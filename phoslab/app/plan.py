@@ -69,17 +69,22 @@ def run(args: argparse.Namespace) -> int:
 
 def table(plan: ModelPlan) -> list[str]:
     """Return the plan as lines for a person."""
+    from phoslab.model_plan import OUTSIDE
     from phoslab.render.planning.bounds import parse_bound
 
     bound = parse_bound(plan.bound)
     rows = [("decision", "choice", "adds", "", "why")]
     for term in plan.terms:
-        adds = "0" if term.error == 0 else bound.say(term.error)
-        rows.append((term.name, term.choice, adds, "" if term.error == 0 else _KIND[term.kind], term.why))
+        said = bound.say(term.error)
+        adds = (
+            ("0" if term.error == 0 else said) if term.kind != OUTSIDE else f"({said if term.error else '?'})"
+        )
+        rows.append((term.name, term.choice, adds, _KIND.get(term.kind, "") if term.error else "", term.why))
     widths = [max(len(row[k]) for row in rows) for k in range(4)]
     lines = [
         "  ".join(f"{cell:<{w}}" for cell, w in zip(row, (*widths, 0), strict=True)).rstrip() for row in rows
     ]
+    outside = any(term.kind == OUTSIDE for term in plan.terms)
     (w, h), n = plan.size, len(plan.times)
     pictures = f"{n} picture{'s' if n != 1 else ''} of {w} x {h}"
     return [
@@ -88,6 +93,7 @@ def table(plan: ModelPlan) -> list[str]:
         f"Together {bound.say(plan.predicted_error)} are predicted of the {bound} allowed; "
         f"about {_duration(plan.predicted_s)} for {pictures}.",
         "`<` marks a bound that cannot be passed, `~` an estimate from samples or from other scenes.",
+        *(["What stands in brackets is in no plan: no bound counts it."] if outside else []),
         *(f"note: {note}" for note in plan.notes),
     ]
 

@@ -70,7 +70,7 @@ def check_plan(
     if plan.scene_sha256 and plan.scene_sha256 != again.scene_sha256:
         wrong.append("the scene has changed since it was planned")
     if again.predicted_error > bound.value:
-        worst = max(again.terms, key=lambda term: term.error)
+        worst = again.worst
         wrong.append(
             f"the plan breaks its bound of {bound}: {bound.say(again.predicted_error)} is predicted, "
             f"{bound.say(worst.error)} of it by {worst.name} ({worst.choice})"

@@ -9,12 +9,15 @@ import numpy as np
 
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
-from phoslab.model_plan import Choices, ModelPlan, Term
+from phoslab.model_plan import OUTSIDE, Choices, ModelPlan, Term
 from phoslab.render.glow_transport import NONE
 from phoslab.render.planning import transport_terms
-from phoslab.render.planning.notes import notes
+from phoslab.render.planning.notes import notes, recharging
 from phoslab.render.planning.planner import BUDGET, Planner
 from phoslab.render.planning.reduced import check_fit
+
+# Of what a state loses: less than that may charge it unsaid.
+MATTERS = 1e-3
 
 
 def plan(planner: Planner) -> ModelPlan:
@@ -70,7 +73,9 @@ def _decided(planner: Planner, choices: Choices) -> Iterator[Term]:
         f"{kept} of {all_states}",
         planner.state_error(surfaces),
         "estimate",
-        "the others have died, were never charged, or fade like one that is kept"
+        "nothing glows"
+        if not glowing
+        else "the others have died, were never charged, or fade like one that is kept"
         if kept < all_states
         else "each is seen at some time asked for",
     )
@@ -111,6 +116,29 @@ def _decided(planner: Planner, choices: Choices) -> Iterator[Term]:
         "what is stored at each change of light is rounded to it",
     )
     yield from _transport(planner, choices)
+    yield from _outside(planner)
+
+
+def _outside(planner: Planner) -> Iterator[Term]:
+    """Yield what no plan models, nor the picture that its bound is held against, where it may matter."""
+    twice = planner.lamp_twice_error()
+    if twice > 0:
+        yield Term(
+            "lamp bounces",
+            "1",
+            twice,
+            OUTSIDE,
+            "lamp light that walls send on, of which this is the second reflection: render --lamp-bounces has it",
+        )
+    share = recharging(planner.pilot)
+    if share > MATTERS:
+        yield Term(
+            "glow excites",
+            "no",
+            0.0,
+            OUTSIDE,
+            f"glow all around would give phosphors {share:.1%} of what they lose: render --glow-excites has it",
+        )
 
 
 def _transport(planner: Planner, choices: Choices) -> Iterator[Term]:
@@ -157,10 +185,8 @@ def _transport(planner: Planner, choices: Choices) -> Iterator[Term]:
 
 def _out_of_reach(planner: Planner, choices: Choices) -> PhoslabError:
     """Return what to say where even `choices`, the best there are, miss the bound."""
-    bound = planner.request.bound
-    terms = list(_decided(planner, choices))
-    worst = max(terms, key=lambda term: term.error)
-    reached = sum(t.error for t in terms) / BUDGET
+    bound, best = planner.request.bound, explain(planner, choices)
+    worst, reached = best.worst, best.predicted_error / BUDGET
     missing = (
         ""
         if transport_terms.traces_paths()

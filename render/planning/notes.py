@@ -1,4 +1,4 @@
-"""What a bound on the model does not cover, said beside it: the material itself, and what the renderer never models."""
+"""What a bound on the model does not cover, said beside it: how well the material itself is known, and for how long."""
 
 from __future__ import annotations
 
@@ -13,26 +13,31 @@ from phoslab.render.planning.pilot import Pilot, Sampled
 
 def notes(pilot: Pilot, choices: Choices) -> tuple[str, ...]:
     """Return what to know of a plan besides its bound."""
-    return tuple(dict.fromkeys([*_materials(pilot, choices), *_beyond(pilot), *_other_light(pilot)]))
+    return tuple(dict.fromkeys([*_materials(pilot, choices), *_beyond(pilot)]))
 
 
 def _materials(pilot: Pilot, choices: Choices) -> list[str]:
     """Say how well each material that glows is known, at the moment at which that is worst."""
-    said, unknown = [], []
+    said: list[str] = []
+    unknown: list[tuple[str, str]] = []
+    sure: set[str] = set()
     for k, sampled in pilot.sampled.items():
         if not choices.surfaces[pilot.scene.drawables[k].name].glows:
             continue
         material = sampled.phosphor.material
         known = [e for t in range(len(pilot.moments)) if (e := glow_error(pilot, sampled, t)) is not None]
         if known:
+            sure.add(material.name)
             said.append(
                 f"the glow of {material.name!r} itself is known to {max(known):.1%} (one standard error); no model of "
                 "it is better"
             )
         else:
-            unknown.append(repr(material.name))
+            unknown.append((material.name, pilot.scene.drawables[k].name))
     if unknown:
-        names = ", ".join(dict.fromkeys(unknown))
+        # Two materials may share a name: the mesh tells them apart.
+        each = (f"{name!r} of {mesh}" if name in sure else repr(name) for name, mesh in unknown)
+        names = ", ".join(dict.fromkeys(each))
         said.append(f"no standard errors come with {names}: nobody knows how well they are known")
     return said
 
@@ -87,30 +92,10 @@ def _beyond(pilot: Pilot) -> list[str]:
     return said
 
 
-def _other_light(pilot: Pilot) -> list[str]:
-    """Say what no plan models, nor the picture that its bound is held against: `render` has options for it."""
-    said = []
-    lamp, glow, bounces = pilot.means()
-    twice = float((pilot.lamp_twice / np.maximum(lamp + glow + bounces.sum(axis=0), 1e-300)).max())
-    if pilot.scene.lights:
-        seen = f"; its second reflection would add {twice:.1%} to the light that is seen" if twice > 0 else ""
-        said = [
-            "lamp light that walls reflect, and charge others with, is in no plan (render --lamp-bounces has it)"
-            + seen
-        ]
-    share = _recharging(pilot)
-    if share is not None and share > 1e-3:
-        said.append(
-            f"glow that charges other phosphors is in no plan (render --glow-excites has it); under full glow from all "
-            f"sides it would give them {share:.1g} of what they lose"
-        )
-    return said
-
-
-def _recharging(pilot: Pilot) -> float | None:
+def recharging(pilot: Pilot) -> float:
     """Return what no state's excitation over kr exceeds under the brightest glow from all around."""
     if not pilot.sampled:
-        return None
+        return 0.0
     brightest = np.zeros(pilot.scene.transport.n)
     for s in pilot.sampled.values():
         brightest = np.maximum(brightest, np.einsum("nc,nck->nk", s.kr, s.emission).max(axis=0))

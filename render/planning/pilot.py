@@ -67,7 +67,7 @@ class Pilot:
         moments: (T,) in s, ascending.
         shape: (h, w) of the small picture.
         lamp: (T, P, K) lamp light, reflected once.
-        lamp_twice: (T,) mean X + Y + Z of lamp light that is reflected twice, which no plan models.
+        lamp_twice: (T, P, 3) XYZ of lamp light that is reflected twice, which no plan models.
         glow: (T, P, K) glow that comes straight.
         bounces: (n, T, P, K) glow after 1 to n reflections.
         from_each: (T, P, 3) the XYZ of each drawable's glow, straight and reflected, by the drawable's number.
@@ -163,7 +163,8 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
     lamp[:, pixel] = _lamp_light(scene, triangles, seen, at)
 
     to_xyz = xyz_matrix(scene.transport)
-    lamp_twice = _lamp_twice(scene, triangles, seen, at, rng) @ to_xyz
+    lamp_twice = np.zeros((len(at), n_pixels, 3))
+    lamp_twice[:, pixel] = _lamp_twice(scene, triangles, seen, at, rng) @ to_xyz
     arrivals = _walk(scene, triangles, seen, pixel, rng)
     by_order = np.zeros((REFLECTIONS + 1, len(at), n_pixels, K))
     sampled, from_each = {}, {}
@@ -187,7 +188,7 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
         moments=at,
         shape=shape,
         lamp=lamp,
-        lamp_twice=lamp_twice.sum(axis=(1, 2)) / n_pixels,
+        lamp_twice=lamp_twice,
         glow=by_order[0],
         bounces=by_order[1:],
         from_each=from_each,

@@ -332,6 +332,11 @@ class Planner:
         """Return what it adds if all glow changes by a share of itself."""
         return self._changed(dict.fromkeys(self.pilot.from_each, share))
 
+    def lamp_twice_error(self) -> float:
+        """Return what the second reflection of lamp light, which no plan models, would change."""
+        pictures = self.pilot.pictures
+        return self._sensitivity.between(pictures + self.pilot.lamp_twice.reshape(pictures.shape))
+
     def stepped(self, choices: Choices) -> Stepped:
         """Return the way of stepping that is nearest to what the choices say."""
         if len(self.steps) == 1:
