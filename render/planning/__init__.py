@@ -19,7 +19,7 @@ from phoslab.render.planning import decisions
 from phoslab.render.planning.bounds import parse_bound
 from phoslab.render.planning.costs import load_costs
 from phoslab.render.planning.planner import Planner, Request
-from phoslab.render.planning.reduced import apply, transport_parameters
+from phoslab.render.planning.reduced import apply, check_fit, transport_parameters
 from phoslab.render.scene import Scene, load_scene
 from phoslab.render.schedule import check_time
 
@@ -61,7 +61,10 @@ def check_plan(
     Raises:
         PhoslabError: the plan does not fit the scene.
     """
-    planner = _planner(_scene(scene), plan.bound, plan.times, plan.size, trade, device)
+    loaded = _scene(scene)
+    # First, since what does not fit may be of another scene, whose times mean nothing here either.
+    check_fit(loaded, plan.choices)
+    planner = _planner(loaded, plan.bound, plan.times, plan.size, trade, device)
     again = decisions.explain(planner, plan.choices)
     bound = parse_bound(plan.bound)
     if again.predicted_error > bound.value and planner.look_closer():

@@ -14,7 +14,6 @@ from phoslab.render.glow_transport import NONE
 from phoslab.render.planning import transport_terms
 from phoslab.render.planning.notes import notes, recharging
 from phoslab.render.planning.planner import BUDGET, Planner
-from phoslab.render.planning.reduced import check_fit
 
 # Of what a state loses: less than that may charge it unsaid.
 MATTERS = 1e-3
@@ -33,13 +32,8 @@ def plan(planner: Planner) -> ModelPlan:
 
 
 def explain(planner: Planner, choices: Choices) -> ModelPlan:
-    """Return the plan of these choices: each decision, its error and the reason.
-
-    Raises:
-        PhoslabError: the choices do not fit the scene.
-    """
+    """Return the plan of these choices, which fit the scene: each decision, its error and the reason."""
     request = planner.request
-    check_fit(request.scene, choices)
     return ModelPlan(
         scene="/".join(request.scene.file.resolve().parts[-2:]),
         scene_sha256=hashlib.sha256(request.scene.file.read_bytes()).hexdigest(),
