@@ -42,6 +42,19 @@ def test_the_shares_of_the_decisions_sum_to_what_is_predicted_within_the_bound(p
     assert all(term.why for term in planned.terms)
 
 
+def test_what_no_plan_models_stands_in_brackets_and_not_in_the_sum(fading, tmp_path, capsys):
+    """Lamp light of a second reflection adds half as much again to the lit `cornell`: docs/accuracy.md."""
+    path = tmp_path / "plan.json"
+    arguments = ["plan", str(fading.parent / "cornell"), "--max-error", "5%", "--at", "1", "--size", "32x32"]
+    assert main([*arguments, "-o", str(path)]) == 0
+    planned = read_plan(path)
+    outside = {term.name: term.error for term in planned.terms if term.kind == "outside"}
+    # One ray from each of 576 pixels, and the first reflection is 1.
+    assert outside["lamp bounces"] == pytest.approx(56, rel=0.2)
+    assert planned.predicted_error < 5
+    assert re.search(r"lamp bounces +1 +\(\d+%\)", capsys.readouterr().out)
+
+
 def test_a_coarser_bound_never_costs_more(fading, capsys):
     cost = []
     for bound in ("60%", "30%", "10%"):
