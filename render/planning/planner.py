@@ -21,6 +21,7 @@ from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.model_plan import Choices, Surface
 from phoslab.render.device import Device
+from phoslab.render.glow_transport import NONE
 from phoslab.render.path_tracer import LLVM, SCALAR, usual_variant
 from phoslab.render.planning import spectrum_terms, state_terms, texel_terms, transport_terms
 from phoslab.render.planning.bounds import Bound
@@ -215,7 +216,7 @@ class Planner:
             solver=stepped.solver,
             step_s=stepped.step_s,
             state_format="f32",
-            gi={"method": transport_terms.NONE},
+            gi={"method": NONE},
         )
 
     def _surface_errors(self, surfaces: Mapping[str, Surface]) -> tuple[float, float, float]:
