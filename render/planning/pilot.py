@@ -35,6 +35,12 @@ Index = NDArray[np.int64]
 
 PIXELS, WALKS, REFLECTIONS = 576, 4, 24
 
+# Where few pixels see anything, each sends more walks, so that as many are sent in all; but no more than so many.
+MOST_WALKS = 64
+
+# What none of n samples met is, 19 times of 20, rarer than this over n (the rule of three).
+UNMET = 3.0
+
 # After so many reflections a walk goes on by chance, and counts for more if it does.
 SURE_REFLECTIONS = 3
 
@@ -71,6 +77,9 @@ class Pilot:
         glow: (T, P, K) glow that comes straight.
         bounces: (n, T, P, K) glow after 1 to n reflections.
         from_each: (T, P, 3) the XYZ of each drawable's glow, straight and reflected, by the drawable's number.
+        brightest: (T, 3) XYZ of the brightest glow that was met.
+        whiteness: (P,) mean reflectance of what is seen.
+        walks: how many walks were sent.
         sampled: by the number of the drawable.
         visible: (D,) share of the pixels in which each drawable is seen.
         side_px: (D,) side of the square that each surface would fill on the picture, laid out flat at the distance
@@ -85,6 +94,9 @@ class Pilot:
     glow: Array
     bounces: Array
     from_each: dict[int, Array]
+    brightest: Array
+    whiteness: Array
+    walks: int
     sampled: dict[int, Sampled]
     visible: Array
     side_px: Array
@@ -139,6 +151,11 @@ class Pilot:
         error: Array = reflected.std(axis=-1) / np.sqrt(reflected.shape[-1])
         return error
 
+    def unmet(self, reflections: int) -> Array:
+        """Return (T, h, w, 3) XYZ that glow after more reflections may bring though no walk met it: bright and rare."""
+        reflected = self.whiteness ** (reflections + 1) * UNMET / max(self.walks, 1)
+        return (self.brightest[:, None] * reflected[:, None]).reshape(len(self.moments), *self.shape, 3)
+
 
 @dataclass(frozen=True, eq=False)
 class _Arrivals:
@@ -165,7 +182,11 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
     to_xyz = xyz_matrix(scene.transport)
     lamp_twice = np.zeros((len(at), n_pixels, 3))
     lamp_twice[:, pixel] = _lamp_twice(scene, triangles, seen, at, rng) @ to_xyz
-    arrivals = _walk(scene, triangles, seen, pixel, rng)
+    walks = min(max(WALKS, WALKS * PIXELS // max(len(pixel), 1)), MOST_WALKS)
+    arrivals = _walk(scene, triangles, seen, pixel, walks, rng)
+    whiteness = np.zeros(n_pixels)
+    whiteness[pixel] = reflectance_at(scene, seen).mean(axis=1)
+    brightest = np.zeros((len(at), 3))
     by_order = np.zeros((REFLECTIONS + 1, len(at), n_pixels, K))
     sampled, from_each = {}, {}
     for k, drawable in enumerate(scene.drawables):
@@ -173,6 +194,9 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
         if drawable.phosphor is None or not own.size:
             continue
         sampled[k], L = _glow(scene, drawable.phosphor, triangles, arrivals.points[own], at)
+        glow = sampled[k].glow
+        most = glow[np.arange(len(at)), glow.sum(axis=-1).argmax(axis=1)]
+        brightest = np.where(most.sum(axis=-1) > brightest.sum(axis=-1), most.T, brightest.T).T
         arriving = L * arrivals.weight[own]
         from_each[k] = np.zeros((len(at), n_pixels, 3))
         np.add.at(from_each[k].swapaxes(0, 1), arrivals.pixel[own], (arriving @ to_xyz).swapaxes(0, 1))
@@ -192,6 +216,9 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
         glow=by_order[0],
         bounces=by_order[1:],
         from_each=from_each,
+        brightest=brightest,
+        whiteness=whiteness,
+        walks=walks * len(pixel),
         sampled=sampled,
         visible=np.bincount(seen.drawable, minlength=D) / n_pixels,
         side_px=_sides(scene, triangles, seen, pixel, eye, direction, size),
@@ -221,7 +248,7 @@ def _lamp_twice(
 
 
 def _walk(
-    scene: Scene, triangles: Triangles, seen: Points, pixel: Index, rng: np.random.Generator
+    scene: Scene, triangles: Triangles, seen: Points, pixel: Index, walks: int, rng: np.random.Generator
 ) -> _Arrivals:
     """Walk on from what the pixels see, and return all that glows on the way; what is seen itself comes first."""
     K = scene.transport.n
@@ -232,8 +259,8 @@ def _walk(
             seen[first], pixel[first], np.ones((int(first.sum()), K)), np.zeros(int(first.sum()), np.int64)
         )
     ]
-    start = np.repeat(np.arange(len(pixel)), WALKS)
-    here, mine, weight = seen[start], pixel[start], reflectance_at(scene, seen)[start] / WALKS
+    start = np.repeat(np.arange(len(pixel)), walks)
+    here, mine, weight = seen[start], pixel[start], reflectance_at(scene, seen)[start] / walks
     for order in range(1, REFLECTIONS + 1):
         if not glowing.any() or not len(mine):
             break

@@ -158,7 +158,7 @@ class Planner:
 
     def _look_at_noise(self, variant: str) -> PathNoise:
         elsewhere = PathNoise(self.costs.path_noise / math.sqrt(PATHS))
-        if not transport_terms.traces_paths() or not self.pilot.bounces.any():
+        if not transport_terms.traces_paths():
             return elsewhere
         few, _ = self.bands[min(n for n in self.bands if n >= min(3, max(self.bands)))]
         plain = replace(whole(self.request.scene), bands_nm=tuple(few.edges_nm.tolist()))

@@ -60,7 +60,7 @@ def traces_paths() -> bool:
 def settings(pilot: Pilot, costs: Costs) -> Iterator[dict[str, Any]]:
     """Yield every way that this machine can take, as parameters of `--gi`."""
     yield {"method": NONE}
-    if not pilot.bounces.any():
+    if not pilot.unmet(0).any():
         return
     for measured in costs.gi:
         if measured.method not in METHODS:
@@ -98,10 +98,17 @@ def judge(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise, gi: M
 
 
 def _left_out(pilot: Pilot, bound: Bound, reflections: int) -> float:
-    """Return what the picture errs by without the reflections after the first so many."""
+    """Return what the picture errs by without the reflections after the first so many, met by the walks or not."""
     picture = pilot.as_picture(pilot.lamp + pilot.glow + pilot.bounces[:reflections].sum(axis=0))
-    each = zip(_sureness(pilot), picture, pilot.pictures, pilot.exposures, strict=True)
-    return float(max(sure * bound.error(some, whole, exposure) for sure, some, whole, exposure in each))
+    unmet = pilot.unmet(reflections)
+    return max(
+        float(
+            sure * bound.error(picture[t], whole, exposure) + bound.error(whole + unmet[t], whole, exposure)
+        )
+        for t, (sure, whole, exposure) in enumerate(
+            zip(_sureness(pilot), pilot.pictures, pilot.exposures, strict=True)
+        )
+    )
 
 
 def _inexact(
@@ -121,7 +128,7 @@ def _inexact(
         pattern: (h, w, 3) how the error lies over the picture, its mean absolute value being 1; None: the same share
             of reflected light everywhere, up and down in turn.
     """
-    reflected = pilot.as_picture(pilot.bounces[:reflections].sum(axis=0))
+    reflected = pilot.as_picture(pilot.bounces[:reflections].sum(axis=0)) + pilot.unmet(0)
     picture = pilot.as_picture(pilot.lamp + pilot.glow) + reflected
     if pattern is None:
         off = reflected * np.where(np.indices(pilot.shape).sum(axis=0) % 2, 1.0, -1.0)[..., None]
