@@ -63,3 +63,22 @@ def test_paths_leave_nothing_out(closed_box):
     assert of[16] == pytest.approx(5.0, rel=0.1)
     assert of[16] / of[64] == pytest.approx(2.0)
     assert np.all(np.diff(list(of.values())) < 0)
+
+
+def test_rare_bright_light_that_few_walks_meet_is_not_taken_for_none(tmp_path, planned_scenes):
+    """A thing on a floor, lit from one side, on a sixth of the picture: reflected glow is 1.2 % of the light there, by
+    paths to a noise of 0.15 %. Four walks from each pixel that sees anything met none of it."""
+    drawn = planned_scenes.draw(tmp_path, 9008)
+    scene = load_scene(drawn.folder)
+    pilot = look(scene, [scene.schedule.parse_time(drawn.time)], (64, 64))
+    assert pilot.walks > 2000
+    left_out = transport_terms.judge(pilot, PERCENT, costs(), NOISE, {"method": "none"}).left_out
+    assert 1.2 < left_out < 5
+
+
+def test_what_no_walk_met_is_three_in_as_many_as_were_sent(closed_box):
+    """Of the walls' 1/2, reflected by 1/2 at each turn."""
+    glow = closed_box.brightest
+    for n in (0, 1):
+        want = glow * 0.5 ** (n + 1) * 3 / closed_box.walks
+        np.testing.assert_allclose(closed_box.unmet(n).mean(axis=(1, 2)), want, rtol=1e-6)
