@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from phoslab.app.trades import SOFTWARE_RENDERERS
+
 HELP = "what this machine has, and how to get the rest"
 EXAMPLE = "phoslab doctor"
 
@@ -46,7 +48,6 @@ _RIVALS = {
         "sudo systemctl mask --now brltty-udev.service",
     ),
 }
-SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader")
 
 
 @dataclass(frozen=True)

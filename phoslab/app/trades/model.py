@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.app.doctor import SOFTWARE_RENDERERS
-from phoslab.app.trades import model_page
+from phoslab.app.trades import SOFTWARE_RENDERERS, model_page
 from phoslab.app.trades.model_page import Point
 from phoslab.app.trades.page import write_trade
 from phoslab.model_plan import Choices, Surface
