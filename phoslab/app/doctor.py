@@ -10,8 +10,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from phoslab.app.trades import SOFTWARE_RENDERERS
-
 HELP = "what this machine has, and how to get the rest"
 EXAMPLE = "phoslab doctor"
 
@@ -108,6 +106,8 @@ def _gl() -> Part:
     answer, problem = _probe(_GL_PROBE)
     if problem:
         return Part("OpenGL", "missing", problem, _gl_remedy(problem))
+    from phoslab.trades import SOFTWARE_RENDERERS
+
     software = any(name in answer["renderer"].lower() for name in SOFTWARE_RENDERERS)
     where = "in software: works, slowly" if software else "on the GPU"
     found = f"{answer['version']}, {answer['renderer']} ({where})"

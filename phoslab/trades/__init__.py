@@ -18,6 +18,9 @@ from phoslab.journal import decode
 
 SCHEMA = "phoslab-trade/1"
 
+# Of OpenGL on processors, in the name of the renderer: there, time is that of all processors.
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader")
+
 _LARGEST_BYTES = 1 << 24
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.app.trades import SOFTWARE_RENDERERS, model_page
+from phoslab.app.trades import model_page
 from phoslab.app.trades.model_page import Point
 from phoslab.app.trades.page import write_trade
 from phoslab.model_plan import Choices, Surface
@@ -41,6 +41,7 @@ from phoslab.render.planning.state_terms import fewer_states
 from phoslab.render.planning.texel_terms import PACKED
 from phoslab.render.reference import Reference
 from phoslab.render.renderer import Renderer, RenderParameters
+from phoslab.trades import SOFTWARE_RENDERERS
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
