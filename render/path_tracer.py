@@ -152,11 +152,13 @@ def _on_grid(
     sampler.set_sample_count(samples)
     samples = sampler.sample_count()
     sampler.set_samples_per_wavefront(samples)
-    sampler.seed(seed, width * height * samples)
+    # As a literal, every seed would be compiled anew: half a second each.
+    opaque = dr.opaque(mi.UInt32, seed)
+    sampler.seed(opaque, width * height * samples)
     index = dr.arange(mi.UInt32, width * height * samples)
     pixel = index // samples
     # Each pixel begins at another part, so that fewer paths than parts favour none.
-    part = (index + mi.sample_tea_32(pixel, seed)[0]) % (grid * grid)
+    part = (index + mi.sample_tea_32(pixel, opaque)[0]) % (grid * grid)
     x = mi.Float(pixel % width) + (mi.Float(part % grid) + 0.5) / grid
     y = mi.Float(pixel // width) + (mi.Float(part // grid) + 0.5) / grid
     ray, _ = scene.sensors()[0].sample_ray(0.0, 0.0, mi.Point2f(x / width, y / height), mi.Point2f(0.5))
