@@ -65,14 +65,16 @@ uint find_part(uint cell, vec3 p) {
 }
 
 void main() {
-    int tile = int(gl_WorkGroupID.y) * tiles.x + int(gl_WorkGroupID.x);
-    int at = 2 * tile + int(gl_WorkGroupID.z);
+    // A tile's two groups follow each other: of llvmpipe's threads each takes one stretch of all, and second groups are few.
+    ivec2 tile = ivec2(gl_WorkGroupID.x / 2u, gl_WorkGroupID.y);
+    bool is_second = gl_WorkGroupID.x % 2u == 1u;
+    int at = 2 * (tile.y * tiles.x + tile.x) + int(is_second);
     Group group = groups[at];
     if (group.count == 0.0) return;
-    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy), size = picture_size();
+    ivec2 pixel = TILE * tile + ivec2(gl_LocalInvocationID.xy), size = picture_size();
     vec3 o, n;
     if (any(greaterThanEqual(pixel, size)) || !find_receiver(pixel, o, n)) return;
-    if (group.axis >= 0.0 && (o[int(group.axis)] > group.divide) != (gl_WorkGroupID.z == 1u)) return;
+    if (group.axis >= 0.0 && (o[int(group.axis)] > group.divide) != is_second) return;
 
     uint begin = ends[at], end = ends[at + 1];
     float total = end > begin ? guides[end - 1u].y : 0.0;
