@@ -212,21 +212,23 @@ class _Bench:
             begin = time.perf_counter()
             transport.prepare()
             device.ctx.finish()
-            prepared = time.perf_counter()
-            self._reflected(renderer, lambda: transport.run(renderer.direct_light.radiance))
-            done = time.perf_counter()
-            first.append(done - begin)
-            again.append(done - prepared)
+            prepared_s = time.perf_counter() - begin
+            again.append(self._reflected(renderer, lambda: transport.run(renderer.direct_light.radiance)))
+            first.append(prepared_s + again[-1])
         error = relative_error(renderer.resolve.read(), *self._truth)
         said = ", ".join(f"{k} {v:g}" for k, v in setting.items()) or "default"
         return Point(self._name, method, said, error, 1e3 * median(first), 1e3 * median(again))
 
-    def _reflected(self, renderer: Renderer, add: Callable[[], None]) -> None:
-        """Resolve what one way adds to a black picture."""
+    def _reflected(self, renderer: Renderer, add: Callable[[], None]) -> float:
+        """Resolve what one way adds to a black picture; return how long that way took."""
         renderer.direct_light.run(renderer.gbuffer, renderer.drawables, {})
-        add()
-        renderer.resolve.run(renderer.direct_light.radiance)
         self._device.ctx.finish()
+        begin = time.perf_counter()
+        add()
+        self._device.ctx.finish()
+        took_s = time.perf_counter() - begin
+        renderer.resolve.run(renderer.direct_light.radiance)
+        return took_s
 
     def _paths(
         self, reference: Reference, samples: int, *, seed: int = 2, white: bool = False, **more: Any
@@ -251,9 +253,8 @@ class _Bench:
         return picture, median(took)
 
     def _filtered(self, renderer: Renderer, tiles: Tiles, light: Floats) -> tuple[Floats, float]:
-        begin = time.perf_counter()
-        self._reflected(renderer, lambda: tiles.reflect(light, renderer.direct_light.radiance))
-        return renderer.resolve.read(), time.perf_counter() - begin
+        took_s = self._reflected(renderer, lambda: tiles.reflect(light, renderer.direct_light.radiance))
+        return renderer.resolve.read(), took_s
 
     def _traced(self, method: str, n: int, picture: Floats, traced_s: float, filter_s: float) -> Point:
         ms = 1e3 * (max(traced_s, 1e-4) + filter_s)
