@@ -259,7 +259,7 @@ def test_a_bench_that_was_killed_is_named_and_a_new_one_goes_on_where_time_has_g
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"sample": "stickers"}, "no sample that the bench can make.*green"),
+        ({"sample": "stickers"}, "no sample of the bench.*green"),
         ({"sample": "green", "faults": ["camera-lazy@3"]}, "names no fault.*camera-busy"),
     ],
 )
