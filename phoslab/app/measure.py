@@ -179,9 +179,12 @@ def _typed(text: str) -> float | str:
 
 
 def _sample(name: str) -> str:
-    from phoslab.instruments.bench.samples import sample
+    from phoslab import presets
 
-    sample(name)  # there is one
+    if name not in presets.names():  # the bench takes its time to load
+        from phoslab.instruments.bench.samples import sample
+
+        sample(name)
     return name
 
 
