@@ -236,33 +236,19 @@ TABLES = {
 }
 
 
-OF_RAW = {
-    spectra: "spectra",
-    pictures: "materials",
-    levels: "materials",
-    campaign: "campaign",
-    reduction: "large_frames",
-    every_pixel: "large_frames",
-}
-"""Which answer a table is of, of those that begin at RAW frames."""
-
-
 @pytest.mark.parametrize(
     ("page", "table"),
     [(page, table) for page, tables in TABLES.items() for table in tables],
     ids=lambda x: x if isinstance(x, str) else x.__name__,
 )
 def test_tables_are_those_of_the_trade_that_ships(page, table):
-    trade = load("fit")
-    if OF_RAW.get(table, "digits") not in trade:
-        pytest.skip("the trade that ships was measured before this was asked; the page says so")
-    assert table(trade) in (DOCS / page).read_text()
+    assert table(load("fit")) in (DOCS / page).read_text()
 
 
 def test_what_ships_is_a_whole_measurement_that_keeps_what_is_promised():
     trade = load("fit")
     assert not trade["quick"]
-    assert trade["complete"] == (set(OF_RAW.values()) <= set(trade))
+    assert trade["complete"]
     least = {
         name: min(r["parameters"] for r in trade["digits"] if r["problem"] == name)
         for name in ("Lanczos1", "Lanczos2", "Lanczos3", "BoxBOD", "MGH17")
@@ -291,8 +277,6 @@ def test_pixels_that_ship_keep_what_is_promised():
 
 def test_materials_that_ship_keep_what_is_promised():
     trade = load("fit")
-    if "materials" not in trade:
-        pytest.skip("the trade that ships was measured before this was asked; the page says so")
     by_name = {m["sample"]: m["excitation"] for m in trade["materials"]}
     assert by_name["two-states"]["level_worst"] <= 0.02
     assert abs(by_name["two-states"]["rise_ratio"] - 1) <= 0.05
@@ -302,8 +286,6 @@ def test_materials_that_ship_keep_what_is_promised():
 
 def test_memory_that_ships_does_not_grow_with_the_number_of_frames():
     trade = load("fit")
-    if "large_frames" not in trade:
-        pytest.skip("the trade that ships was measured before this was asked; the page says so")
     few, many = (r for r in trade["large_frames"]["reduction"] if r["pixels"] == 1872 * 2808)
     # 2.4 times as many frames take less than a twentieth more.
     assert many["frames"] > 2 * few["frames"]
