@@ -56,6 +56,7 @@ def add_cluster(forest: Forest, mesh: FlatMesh, of: Indices) -> None:
         is_triangle=np.array([0.0]),
         spheres=sphere[None],
         errors=np.array([error]),
+        is_halved=np.array([0.0]),
         skip=skip,
         leaves=leaves,
     )
@@ -149,6 +150,7 @@ def _add_part(forest: Forest, mesh: FlatMesh, part: int) -> None:
         is_triangle=shape.astype(np.float64),
         spheres=np.concatenate([centres_of(every, shape), radii_of(every, shape)[:, None]], axis=1),
         errors=np.zeros(n),
+        is_halved=(skip > forest.n + np.arange(n) + 1).astype(np.float64),
         skip=skip,
         leaves=leaves,
         leaf_areas=np.full(n_leaves, mesh.areas[part] / n_leaves),

@@ -10,26 +10,52 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from phoslab.errors import PhoslabError
 from phoslab.render.cells import Cells
-from phoslab.render.device import Device, set_uniforms
+from phoslab.render.device import Device, bind_buffers, set_uniforms
 from phoslab.render.directions import patterned_points
 from phoslab.render.memory import check_room
 
 Array = NDArray[np.float64]
 
 
-class CellTree:
-    """The tree of a scene's cells where shaders walk it."""
+UNFINISHED = 9  # the binding of the flag; as in shaders/include/cell_walk.glsl
 
-    def __init__(self, device: Device, cells: Cells) -> None:
+
+class CellTree:
+    """The tree of a scene's cells where shaders walk it.
+
+    Args:
+        detail, sends_on: of `Cells.walk`.
+    """
+
+    def __init__(self, device: Device, cells: Cells, *, detail: float = 1.0, sends_on: bool = True) -> None:
         self.cells, self._device = cells, device
-        skip = np.stack([cells.skip, cells.leaves[:, 0]], axis=1).astype(np.uint32)
-        self.spheres = device.buffer(cells.spheres.astype(np.float32))
-        self.skip, self.tests = device.buffer(skip), device.buffer(cells.tests())
+        self._walk = device.buffer(cells.walk(detail, sends_on=sends_on))
+        self._unfinished = device.buffer(np.zeros(1, dtype=np.uint32))
+
+    def bind(self, shader: moderngl.ComputeShader) -> None:
+        """Tell a shader that includes `cells.glsl` what it walks."""
+        self._walk.bind_to_storage_buffer(0)
+        self._unfinished.bind_to_storage_buffer(UNFINISHED)
+        set_uniforms(shader, cell_count=len(self.cells.skip))
+
+    def check(self) -> None:
+        """Raise if a driver has ended a walk: Mesa's llvmpipe ends a shader's loops after 65535 turns, silently.
+
+        Raises:
+            PhoslabError: it has.
+        """
+        if np.frombuffer(self._unfinished.read(), dtype=np.uint32)[0]:
+            raise PhoslabError(
+                "passes more cells than this OpenGL driver lets a shader walk over",
+                field="a ray of the picture",
+                remedy="Give a larger --cell or --detail or, where so many pieces stand apart, --gi dss-z.",
+            )
 
     def release(self) -> None:
         """Give its buffers back."""
-        self._device.release(self.spheres, self.skip, self.tests)
+        self._device.release(self._walk, self._unfinished)
 
 
 class CellRays:
@@ -59,11 +85,12 @@ class CellRays:
         shader = device.compute("cell_rays", {"DIRECTIONS": directions})  # outlives the scope: built once
         with device.scope():
             square = device.buffer(patterned_points(1, directions)[0, 0].astype(np.float32))
-            buffers = (device.buffer(packed), tree.spheres, tree.skip, tree.tests, square, self._hits)
-            for k, buffer in enumerate(buffers):
-                buffer.bind_to_storage_buffer(k)
-            set_uniforms(shader, point_count=len(points), cell_count=len(tree.cells.skip))
+            leaf_of = device.buffer(tree.cells.leaves[:, 0].astype(np.uint32))
+            bind_buffers(device.buffer(packed), leaf_of, square, self._hits, first=1)
+            tree.bind(shader)
+            set_uniforms(shader, point_count=len(points))
             device.dispatch_items(shader, directions * len(points))
+            tree.check()
 
     def gather(self, leaves: moderngl.Buffer, layers: int, light: moderngl.Buffer) -> None:
         """Write into `light` (n, layers, 4) E / π of each point.
@@ -72,8 +99,7 @@ class CellRays:
             leaves: (m, 2, layers, 4) the radiance of the front and the back of each smallest cell.
         """
         shader = self._device.compute("cell_gather", {"LAYERS": layers, "DIRECTIONS": self._directions})
-        for k, buffer in enumerate((self._hits, leaves, light)):
-            buffer.bind_to_storage_buffer(k)
+        bind_buffers(self._hits, leaves, light)
         set_uniforms(shader, point_count=self._n)
         self._device.dispatch_items(shader, self._n)
 

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 MOST_LEAVES = 1 << 18
+ERRORS = 3.0  # a likeness must be this much better than its size
+FAR = 1e6  # beyond all that is in a scene; its square is a float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,7 @@ class Cells:
         is_triangle: (n,).
         spheres: (n, 4) centre and radius around all that a cell stands for.
         errors: (n,) how far that reaches from the cell's plane; `NEVER` where it is no likeness.
+        is_halved: (n,) whether it is made of two halves, which lie in its plane.
         skip: (n,) the index after a cell's last descendant.
         leaves: (n, 2) first and end of the smallest cells below, in their own count.
         leaf_areas: (m,).
@@ -50,6 +53,7 @@ class Cells:
     is_triangle: NDArray[np.bool_]
     spheres: Array
     errors: Array
+    is_halved: NDArray[np.bool_]
     skip: Indices
     leaves: Indices
     leaf_areas: Array
@@ -58,11 +62,35 @@ class Cells:
     centre: Array
     radius: float
 
-    def tests(self) -> NDArray[np.float32]:
-        """Return (n, 4, 4) what a ray is held against: planes N, U, V, and (error, u + v at most, 0, 0).
+    def walk(self, detail: float = 1.0, *, sends_on: bool = True) -> NDArray[np.float32]:
+        """Return (n, 8, 4) what a ray's walk asks, in the order of `struct Cell` in shaders/include/cells.glsl.
 
-        N·p is the distance from the plane; U·p and V·p are the shares of the two sides.
+        From `apart` on, a distance of its middle, a cell may stand for its parts, and from `aim` on where what it sends
+        matters; anywhere where these are negative: what is flat covers and blocks as its parts do.
+
+        Args:
+            detail: the radius of a cell over its distance, where it sends, and three times its error over its distance.
+            sends_on: whether all cells send light, not those alone that glow.
         """
+        low, high = self.boxes()
+        radius, glows = np.linalg.norm(high - low, axis=1) / 2, self.glows()
+        is_smallest = self.skip == np.arange(1, len(self.skip) + 1)
+        least = radius + ERRORS * self.errors / detail
+        apart, aim = (
+            np.minimum(least + size / detail, FAR) for size in (radius * (glows | sends_on), radius)
+        )
+        rows = np.zeros((len(self.skip), 8, 4), dtype=np.float32)
+        rows[:, 0, :3], rows[:, 0, 3] = low - COPLANAR, np.where(glows, -self.skip, self.skip)
+        rows[:, 1, :3], rows[:, 1, 3] = high + COPLANAR, np.where(self.is_halved | is_smallest, -1.0, apart)
+        rows[:, 2, :3], rows[:, 2, 3] = (low + high) / 2, np.where(is_smallest, -1.0, aim)
+        rows[:, 3:6] = self._planes()
+        rows[self.is_halved, 6] = self._halves()
+        rows[:, 7, 0], rows[:, 7, 1] = np.minimum(self.errors, 1.0), np.where(self.is_triangle, 1.0, 2.0)
+        rows[:, 7, 2] = self.is_halved
+        return rows
+
+    def _planes(self) -> Array:
+        """Return (n, 3, 4) planes N, U and V: the distance from the plane, and the shares of the two sides."""
         a, b, c = self.corners.transpose(1, 0, 2)
         u, v = b - a, c - a
         # U and V are dual to u and v within the plane.
@@ -70,28 +98,45 @@ class Cells:
         area = np.sum(across_v * u, axis=1, keepdims=True)
         area[area == 0] = np.inf  # what is no likeness is never hit
         planes = np.stack([self.normals, across_v / area, across_u / area], axis=1)
-        rows = np.zeros((len(a), 4, 4), dtype=np.float32)
-        rows[:, :3, :3] = planes
-        rows[:, :3, 3] = -np.einsum("nij,nj->ni", planes, a)
-        rows[:, 3, 0] = np.minimum(self.errors, 1.0) + COPLANAR
-        rows[:, 3, 1] = np.where(self.is_triangle, 1.0, 2.0)
-        return rows
+        return np.concatenate([planes, -np.einsum("nij,nj->ni", planes, a)[..., None]], axis=2)
 
-    def walk(self, *, sends_on: bool) -> NDArray[np.float32]:
-        """Return (n, 5, 4) what a walk through the tree asks: sphere, corners, (error, is triangle, glows, sends).
+    def _halves(self) -> Array:
+        """Return (k, 4) planes between the halves of what is made of such, negative in the first."""
+        of = np.flatnonzero(self.is_halved)
+        one, other = self.corners[of + 1], self.corners[self.skip[of + 1]]
+        # Where a parallelogram is halved across its first side, its halves share the other's first and third corner.
+        across_first = ~self.is_triangle[of] & (one[:, 1] != self.corners[of, 1]).any(axis=1)
+        along = np.where(across_first[:, None], other[:, 2], other[:, 1]) - other[:, 0]
+        normal = np.cross(self.normals[of], along)
+        off = -np.sum(normal * other[:, 0], axis=1)
+        side = np.sum(normal * one.mean(axis=1), axis=1) + off
+        planes = np.concatenate([normal, off[:, None]], axis=1)
+        planes *= (-np.sign(side) / np.linalg.norm(normal, axis=1))[:, None]
+        return planes
 
-        Args:
-            sends_on: whether all cells send light, not those alone that glow.
-        """
-        rows = np.zeros((len(self.skip), 5, 4), dtype=np.float32)
-        rows[:, 0] = self.spheres
-        rows[:, 1:4, :3] = self.corners
-        rows[:, 4, 0], rows[:, 4, 1] = self.errors, self.is_triangle
+    def boxes(self) -> tuple[Array, Array]:
+        """Return (n, 3) the low and the high corners of boxes around each cell and all that it stands for."""
+        a, b, c = self.corners.transpose(1, 0, 2)
+        points = np.stack([a, b, c, np.where(self.is_triangle[:, None], a, b + c - a)])
+        # From each cell to its end; what lies between the ends of one and the begin of the next is left out.
+        spans = np.stack([np.arange(len(a)), self.skip], axis=1).ravel()
+        low, high = (np.concatenate([p, p[-1:]]) for p in (points.min(axis=0), points.max(axis=0)))
+        return np.minimum.reduceat(low, spans)[::2], np.maximum.reduceat(high, spans)[::2]
+
+    def glows(self) -> NDArray[np.bool_]:
+        """Return (n,) whether a cell is of a surface that glows."""
+        first, each = self.leaves[:, 0], np.zeros(len(self.skip), dtype=bool)
         for patches in self.patches.values():
-            first = self.leaves[:, 0]
-            rows[(patches.leaf.min() <= first) & (first <= patches.leaf.max()), 4, 2:] = 1.0
-        if sends_on:
-            rows[:, 4, 3] = 1.0
+            each |= (patches.leaf.min() <= first) & (first <= patches.leaf.max())
+        return each
+
+    def aims(self) -> NDArray[np.float32]:
+        """Return (n, 3, 4) the corners, and beside the first of them the cell's area."""
+        rows = np.zeros((len(self.skip), 3, 4), dtype=np.float32)
+        rows[..., :3] = self.corners
+        a, b, c = self.corners.transpose(1, 0, 2)
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        rows[:, 0, 3] = np.where(self.is_triangle, area / 2, area)
         return rows
 
     def averages(self, leaf_values: Array) -> Array:
@@ -147,6 +192,7 @@ def build_cells(drawables: Sequence[GpuDrawable], cell: float) -> Cells:
         is_triangle=whole["is_triangle"].astype(bool),
         spheres=whole["spheres"],
         errors=whole["errors"],
+        is_halved=whole["is_halved"].astype(bool),
         skip=whole["skip"].astype(np.intp),
         leaves=whole["leaves"].astype(np.intp),
         leaf_areas=whole["leaf_areas"],

@@ -358,6 +358,12 @@ def set_uniforms(program: moderngl.Program | moderngl.ComputeShader, **values: A
             member.value = value
 
 
+def bind_buffers(*buffers: moderngl.Buffer, first: int = 0) -> None:
+    """Bind storage buffers to the places `first`, `first` + 1, ..."""
+    for k, buffer in enumerate(buffers):
+        buffer.bind_to_storage_buffer(first + k)
+
+
 def read_texture(texture: moderngl.Texture) -> NDArray[np.float32]:
     """Read a texture back as (height, width, components); row 0 is v = 0."""
     flat = np.frombuffer(texture.read(), dtype=_stored(texture.dtype)).astype(np.float32)

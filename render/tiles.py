@@ -2,7 +2,7 @@
 
     cells          the scene as a tree of flat cells                              once, while nothing moves
     tile_groups    what each tile of 16² pixels sees, in one or two groups        once
-    tile_cells     the cells that stand for the scene, as seen from each group    once
+    tile_aims      the cells that stand for what glows, as seen from each group   once
     tile_hits      the nearest cell in each direction of each pixel               once
     tile_guide     where shadows may end, for the filter                          once
     glow_guide     the same, smoothed                                             once
@@ -27,9 +27,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.errors import PhoslabError
+from phoslab.render.cell_rays import CellTree
 from phoslab.render.cells import Cells
-from phoslab.render.device import LOOP_TURNS, Device, set_uniforms
+from phoslab.render.device import LOOP_TURNS, Device, bind_buffers, set_uniforms
 from phoslab.render.directions import mixed_points
 from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import Surroundings, TransportParameters
@@ -41,9 +41,8 @@ from phoslab.render.surfels import Extent
 
 TILE = 16  # pixels along a side; as in shaders/include/tiles.glsl
 GROUP_FLOATS = 12
-# Directions that a shader looks in at once: on llvmpipe 8 take a quarter longer a direction, 32 ten times as long.
-BATCH = 16
-LONGEST_LIST = 65000  # of a tile's cells: a loop over it must end of itself (`LOOP_TURNS`)
+# Directions of a run of the shader that finds hits: its loops' turns count together (`LOOP_TURNS`).
+BATCH = 8
 
 
 class Tiles:
@@ -76,7 +75,7 @@ class Tiles:
             "SUPERSAMPLING": surroundings.supersampling,
             "DIRECTIONS": parameters.directions,
             "AIMLESS": aimless,
-            "BATCH": min(BATCH, parameters.directions),
+            "BATCH": BATCH,
             "PATTERN": pattern,
             "LAYERS": layer_count(surroundings.scene.transport.n),
         }
@@ -98,14 +97,17 @@ class Tiles:
             self._program("tile_guide", "DIRECTIONS"),
             self._program("glow_guide", "SUPERSAMPLING"),
         )
-        self._cell_shaders = [self._device.compute("tile_cells", d) for d in ({}, {"FILL": 1})]
+        self._aim_shaders = [self._device.compute("tile_aims", d) for d in ({}, {"FILL": 1})]
         n_groups = 2 * self._tiles[0] * self._tiles[1]
         with self._device.scope():
             groups = self._device.buffer(np.zeros((n_groups, GROUP_FLOATS), dtype=np.float32))
             self._bound_groups(groups)
-            chosen = self._choose_cells(groups, n_groups)
-            self._find_hits(groups, *chosen)
-            self._find_guide(chosen[0])
+            p = self._parameters
+            tree = CellTree(self._device, self.cells, detail=p.detail, sends_on=p.sends_on)
+            corners = self._device.buffer(self.cells.aims())
+            aims = self._choose_aims(tree, groups, n_groups, corners)
+            self._find_hits(tree, groups, *aims, corners)
+            self._find_guide(tree)
 
     @property
     def cells(self) -> Cells:
@@ -119,70 +121,64 @@ class Tiles:
         set_uniforms(shader, tiles=self._tiles)
         self._device.dispatch(shader, (self._tiles[0] * self._tiles[1], 1), group=(64, 1))
 
-    def _choose_cells(self, groups: moderngl.Buffer, n_groups: int) -> tuple[moderngl.Buffer, ...]:
-        """Return the cells to walk, what each skips, where each group's list begins, the lists, and the guides."""
+    def _choose_aims(
+        self, tree: CellTree, groups: moderngl.Buffer, n_groups: int, corners: moderngl.Buffer
+    ) -> tuple[moderngl.Buffer, moderngl.Buffer]:
+        """Return where each group's list of cells begins, and the lists with what they promise."""
         device = self._device
-        walk, skip = (
-            device.buffer(self.cells.walk(sends_on=self._parameters.sends_on)),
-            device.buffer(self.cells.skip.astype(np.uint32)),
-        )
         ends = device.buffer(np.zeros(n_groups + 1, dtype=np.uint32))
-        lists = guides = ends
+        aims = device.buffer(np.zeros((1, 2), dtype=np.uint32))
         for fill in (False, True):
-            shader = self._cell_shaders[fill]
+            shader = self._aim_shaders[fill]
             stages = device.buffer(np.zeros((n_groups, 3), dtype=np.uint32))
-            for k, buffer in enumerate(
-                (groups, walk, skip, ends, stages, *([lists, guides] if fill else []))
-            ):
-                buffer.bind_to_storage_buffer(k)
-            set_uniforms(shader, group_count=n_groups, detail=self._parameters.detail)
+            tree.bind(shader)
+            bind_buffers(groups, ends, stages, corners, *([aims] if fill else []), first=1)
+            set_uniforms(shader, group_count=n_groups)
             n_cells = len(self.cells.skip)
             for end in range(LOOP_TURNS, n_cells + LOOP_TURNS, LOOP_TURNS):
                 set_uniforms(shader, stage_end=min(end, n_cells))
                 device.dispatch(shader, (n_groups, 1), group=(16, 1))
             if not fill:
-                counts = np.frombuffer(ends.read(), dtype=np.uint32)[:-1].astype(np.int64)
-                self.list_lengths = counts
-                check_list(int(counts.max(initial=0)))
-                begins = np.concatenate([[0], np.cumsum(counts)])
+                self.aim_counts = np.frombuffer(ends.read(), dtype=np.uint32)[:-1].astype(np.int64)
+                begins = np.concatenate([[0], np.cumsum(self.aim_counts)])
                 n = int(begins[-1])
-                check_room(n * 12, "the cells of the picture's tiles")
+                check_room(n * 8, "the cells at which a picture's directions aim")
                 ends.write(begins.astype(np.uint32).tobytes())
-                lists = device.buffer(np.zeros(max(1, n), dtype=np.uint32))
-                guides = device.buffer(np.zeros((max(1, n), 2), dtype=np.float32))
-        return walk, skip, ends, lists, guides
+                aims = device.buffer(np.zeros((max(1, n), 2), dtype=np.uint32))
+        return ends, aims
 
     def _find_hits(
         self,
+        tree: CellTree,
         groups: moderngl.Buffer,
-        walk: moderngl.Buffer,
-        skip: moderngl.Buffer,
         ends: moderngl.Buffer,
-        lists: moderngl.Buffer,
-        guides: moderngl.Buffer,
+        aims: moderngl.Buffer,
+        corners: moderngl.Buffer,
     ) -> None:
         shader = self._hit_shader
         self._pixels.bind_receivers(shader)
-        tests = self._device.buffer(self.cells.tests())
-        made = (self._points, self._hits, self._pixels.nearness)
-        for k, buffer in enumerate((groups, tests, ends, lists, *made, guides, walk, skip)):
-            buffer.bind_to_storage_buffer(k)
-        set_uniforms(shader, tiles=self._tiles)
+        tree.bind(shader)
+        made = (self._hits, self._pixels.nearness)
+        bind_buffers(groups, ends, aims, corners, self._points, *made, first=1)
+        set_uniforms(shader, tiles=self._tiles, all_send=self._parameters.sends_on)
         for first in range(0, self._parameters.directions, BATCH):
             set_uniforms(shader, first=first)
             shader.run(2 * self._tiles[0], self._tiles[1])
             self._device.ctx.memory_barrier()
+        tree.check()
 
-    def _find_guide(self, walk: moderngl.Buffer) -> None:
+    def _find_guide(self, tree: CellTree) -> None:
         size = self._around.size
         rough = self._device.buffer(np.zeros((size[0] * size[1], 2), dtype=np.float32))
         judge, smooth = self._guide_shaders
+        tree.bind(judge)
+        bind_buffers(self._hits, rough, first=1)
+        set_uniforms(judge, size=size)
+        self._device.dispatch(judge, size)
         self._pixels.bind_receivers(smooth)
-        for shader, buffers in ((judge, (self._hits, walk, rough)), (smooth, (rough, self._pixels.guide))):
-            for k, buffer in enumerate(buffers):
-                buffer.bind_to_storage_buffer(k)
-            set_uniforms(shader, size=size)
-            self._device.dispatch(shader, size)
+        bind_buffers(rough, self._pixels.guide)
+        set_uniforms(smooth, size=size)
+        self._device.dispatch(smooth, size)
 
     def hits(self) -> NDArray[np.uint32]:
         """Return (h, w, directions) 1 + the cell whose front each direction meets, or 0; row 0 is the lowest."""
@@ -223,17 +219,3 @@ class Tiles:
             "met": np.repeat((hits > 0).mean(axis=-1)[..., None], 3, axis=-1),
             "cells": colours[hits[..., 0]],
         }
-
-
-def check_list(longest: int) -> None:
-    """Refuse what a shader's loop would leave out.
-
-    Raises:
-        PhoslabError: a tile has more cells than a loop has rounds.
-    """
-    if longest > LONGEST_LIST:
-        raise PhoslabError(
-            f"would hold its rays against {longest} cells, and no more than {LONGEST_LIST} are",
-            field="a tile of the picture",
-            remedy="Give a larger --cell or --detail or, where that many pieces stand apart, --gi dss-z or reference.",
-        )

@@ -13,6 +13,8 @@ uniform float radius; // of the scene, in m: one unit of the surroundings' dista
 layout(std430, binding = 0) readonly buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless
 layout(rgba32f, binding = 0) uniform image2DArray radiance;
 
+const float FEW = 1e-3; // weights whose sum is less find little that is alike
+
 void main() {
     ivec2 at;
     vec3 p_w;
@@ -29,17 +31,17 @@ void main() {
     vec4 sum[LAYERS];
     float total = 0.0;
     for (int l = 0; l < LAYERS; ++l) sum[l] = vec4(0.0);
-    for (int k = 0; k < 9; ++k) {
-        ivec2 near = pixel + ivec2(k % 3 - 1, k / 3 - 1);
-        if (any(lessThan(near, ivec2(0))) || any(greaterThanEqual(near, size))) continue;
+    // The four that it lies between, bilinear; where these see other surfaces, all around, alike.
+    ivec2 corner = (at - SUPERSAMPLING / 2 + SUPERSAMPLING) / SUPERSAMPLING - 1;
+    for (int k = 0; k < 4 + 9 && (k < 4 || total < FEW); ++k) {
+        ivec2 near = k < 4 ? corner + ivec2(k % 2, k / 2) : pixel + ivec2((k - 4) % 3 - 1, (k - 4) / 3 - 1);
         ivec2 middle = near * SUPERSAMPLING + SUPERSAMPLING / 2;
-        vec4 q = texelFetch(position_w, middle, 0);
-        if (q.w == 0.0) continue;
-        // Bilinear in the distance to the pixel's middle, within a pixel.
-        vec2 off = max(1.0 - abs(vec2(at - middle)) / float(SUPERSAMPLING), 0.0);
-        float w = (off.x * off.y + 1e-3) * alike(p_w, n, q.xyz, normalize(texelFetch(normal_w, middle, 0).xyz));
+        vec4 q = texelFetch(position_w, clamp(middle, ivec2(0), SUPERSAMPLING * size - 1), 0);
+        bool is_there = q.w > 0.0 && all(greaterThanEqual(near, ivec2(0))) && all(lessThan(near, size));
+        vec2 off = 1.0 - abs(vec2(at - middle)) / float(SUPERSAMPLING);
+        float w = (k < 4 ? off.x * off.y : FEW) * alike(p_w, n, q.xyz, normalize(texelFetch(normal_w, middle, 0).xyz));
         // Where all are too far, they still weigh by how near they are.
-        w *= near_enough(p_w, q.xyz, surroundings) + 1e-3;
+        w *= is_there ? near_enough(p_w, q.xyz, surroundings) + 1e-3 : 0.0;
         total += w;
         for (int l = 0; l < LAYERS; ++l) sum[l] += w * texelFetch(light, ivec3(near, l), 0);
     }

@@ -2,10 +2,9 @@
 // What a pixel would receive if all that may send light sent alike, and the variance of that mean: it knows where a shadow
 // may end, and since it depends on geometry alone, the filter that it guides stays linear in the light.
 layout(local_size_x = 8, local_size_y = 8) in;
-#include "tiles.glsl"
+#include "cells.glsl"
 
-layout(std430, binding = 0) readonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
-layout(std430, binding = 1) readonly buffer Walk { Cell cells[]; };
+layout(std430, binding = 1) readonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
 layout(std430, binding = 2) writeonly buffer Guide { vec2 guide[]; };
 uniform ivec2 size;
 
@@ -17,7 +16,7 @@ void main() {
     for (int k = 0; k < DIRECTIONS; ++k) {
         uvec2 hit = hits[at * DIRECTIONS + k];
         if ((hit.x & 1u) == 0u) continue;
-        float light = uintBitsToFloat(hit.y) * cells[hit.x / 2u].more.z;
+        float light = uintBitsToFloat(hit.y) * float(glows(hit.x / 2u));
         sum += light;
         squares += light * light;
     }

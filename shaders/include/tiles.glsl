@@ -1,9 +1,6 @@
 // Tiles of the picture. What a tile sees at two depths far apart is two groups, each with cells of its own.
 const int TILE = 16;
 
-// What lies nearer to a plane is in it, in units of the scene's radius: float32 of G-buffer and atlas.
-const float COPLANAR = 2e-5;
-
 struct Group {
     vec4 sphere;   // around the receivers
     vec4 normal;   // their mean, and the cosine of the angle to the farthest
@@ -11,10 +8,4 @@ struct Group {
     float count;   // of receivers; 0: none
     float axis;    // along which the tile is divided; -1: it is not
     float divide;  // at which coordinate
-};
-
-struct Cell { // as `Cells.walk` has it
-    vec4 sphere;  // around all that it stands for
-    vec4 a, b, c; // corners
-    vec4 more;    // error, is triangle, glows, sends light
 };
