@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from os import PathLike
 from typing import TypeVar
 
@@ -37,6 +38,17 @@ class PhoslabError(Exception):
         where = "" if file is None else f"{file}: "
         subject = "" if field is None else f"{field} "
         super().__init__(printable(f"{where}{subject}{problem}. {remedy}"))
+
+
+@contextmanager
+def found_in(file: str | PathLike[str]) -> Iterator[None]:
+    """Name `file` in whatever is raised inside that names no file."""
+    try:
+        yield
+    except PhoslabError as error:
+        if error.file is not None:
+            raise
+        raise PhoslabError(error.problem, remedy=error.remedy, file=file, field=error.field) from error
 
 
 def look_up(registry: Mapping[str, T], name: str, field: str) -> T:

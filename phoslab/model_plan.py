@@ -33,17 +33,19 @@ class Term:
     Args:
         name: what is decided.
         choice: what was chosen.
-        error: what it adds to the error, in the bound's unit.
+        error: what it adds to the error, in the bound's unit; None: not known.
         kind: "bound" where the error cannot be larger, "estimate" where it was measured on samples, "outside" where no
             plan models it: not in the sum, nor in the bound.
         why: the reason, in one line.
+        seconds: what it takes of the predicted time.
     """
 
     name: str
     choice: str
-    error: float
+    error: float | None
     kind: str
     why: str
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -105,12 +107,12 @@ class ModelPlan:
     @property
     def predicted_error(self) -> float:
         """The sum of what all decisions add, in the bound's unit."""
-        return math.fsum(term.error for term in self.terms if term.kind != OUTSIDE)
+        return math.fsum(term.error or 0.0 for term in self.terms if term.kind != OUTSIDE)
 
     @property
     def worst(self) -> Term:
         """The decision that adds most."""
-        return max((t for t in self.terms if t.kind != OUTSIDE), key=lambda term: term.error)
+        return max((t for t in self.terms if t.kind != OUTSIDE), key=lambda term: term.error or 0.0)
 
     def to_json(self) -> str:
         """Return the plan file's text; `read_plan` gives back the same plan."""
@@ -168,7 +170,14 @@ def read_plan(path: str | PathLike[str]) -> ModelPlan:
             gi=dict(made["gi"]),
         ),
         terms=tuple(
-            Term(str(t["name"]), str(t["choice"]), float(t["error"]), t["kind"], str(t["why"]))
+            Term(
+                str(t["name"]),
+                str(t["choice"]),
+                None if t["error"] is None else float(t["error"]),
+                t["kind"],
+                str(t["why"]),
+                float(t.get("seconds", 0.0)),
+            )
             for t in data["terms"]
         ),
         predicted_s=float(data["predicted_s"]),

@@ -1,7 +1,7 @@
 """Rendering: a scene and times in, band radiance and pictures out.
 
 >>> import phoslab                                                # doctest: +SKIP
->>> frames = phoslab.render.render("scenes/fading", ["off-1s", "off+1s"])   # doctest: +SKIP
+>>> frames = phoslab.render.render("sample_data/scenes/fading", ["off-1s", "off+1s"])   # doctest: +SKIP
 >>> frames.write("glow.png")                                      # doctest: +SKIP
 """
 

@@ -1,7 +1,8 @@
 """Say what of a scene has to be modelled for a picture that is no more wrong than you allow, and what it costs.
 
-SCENE is a scene.toml, or the folder that holds one. The error counts against the same scene with everything on and glow
-followed to its end: `2%` is mean |a - b| / mean b of the radiance, `1dE` the mean CIEDE2000, `0.05flip` the mean FLIP.
+SCENE is a scene.toml, the folder that holds one, or the name of a sample scene. The error counts against the same scene
+with everything on and glow followed to its end: `2%` is mean |a - b| / mean b of the radiance, `1dE` the mean CIEDE2000,
+`0.05flip` the mean FLIP.
 A plan can be saved, edited and followed: phoslab render SCENE --plan plan.json.
 """
 
@@ -11,19 +12,20 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from phoslab.errors import PhoslabError
+from phoslab.app import sample_scenes
+from phoslab.errors import PhoslabError, found_in
 from phoslab.files import check_writable
 
 if TYPE_CHECKING:
     from phoslab.model_plan import ModelPlan
 
 HELP = "plan what to model for a bound on the error"
-EXAMPLE = "phoslab plan scenes/cornell --max-error 5% --at off+1s -o plan.json"
+EXAMPLE = "phoslab plan cornell --max-error 5% --at off+1s -o plan.json"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("scene", metavar="SCENE", type=Path, help="a scene.toml, or its folder")
+    parser.add_argument("scene", metavar="SCENE", type=sample_scenes.scene_path, help=sample_scenes.HELP)
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--max-error", metavar="BOUND", help="how wrong a picture may be: 2%%, 1dE or 0.05flip")
     what.add_argument(
@@ -51,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
             raise PhoslabError(
                 "stands in the plan already", field="--at or --size", remedy="Leave it out, or plan anew."
             )
-        plan, wrong = check_plan(args.scene, read_plan(args.plan), trade=args.trade)
+        with found_in(args.plan):
+            plan, wrong = check_plan(args.scene, read_plan(args.plan), trade=args.trade)
     else:
         plan = make_plan(args.scene, args.max_error, _times(args.at), size=_size(args.size), trade=args.trade)
     if args.out is not None:
@@ -63,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         if args.out is not None:
             print(f"The plan: {args.out}")
     if wrong:
-        raise PhoslabError(wrong, file=args.plan, remedy="Mend it, or plan anew with --max-error.")
+        raise PhoslabError(wrong.problem, file=args.plan, remedy=wrong.remedy)
     return 0
 
 
@@ -73,30 +76,43 @@ def table(plan: ModelPlan) -> list[str]:
     from phoslab.render.planning.bounds import parse_bound
 
     bound = parse_bound(plan.bound)
-    rows = [("decision", "choice", "adds", "", "why")]
+    rows = [("decision", "choice", "adds", "", "takes", "why")]
     for term in plan.terms:
-        said = bound.say(term.error)
-        adds = (
-            ("0" if term.error == 0 else said) if term.kind != OUTSIDE else f"({said if term.error else '?'})"
+        said = "?" if term.error is None else "0" if term.error == 0 else bound.say(term.error)
+        adds = f"({said})" if term.kind == OUTSIDE else said
+        takes = _duration(term.seconds) if term.seconds > TAKES_LITTLE * plan.predicted_s else ""
+        rows.append(
+            (term.name, term.choice, adds, _KIND.get(term.kind, "") if term.error else "", takes, term.why)
         )
-        rows.append((term.name, term.choice, adds, _KIND.get(term.kind, "") if term.error else "", term.why))
-    widths = [max(len(row[k]) for row in rows) for k in range(4)]
+    widths = [max(len(row[k]) for row in rows) for k in range(5)]
     lines = [
         "  ".join(f"{cell:<{w}}" for cell, w in zip(row, (*widths, 0), strict=True)).rstrip() for row in rows
     ]
     outside = any(term.kind == OUTSIDE for term in plan.terms)
     (w, h), n = plan.size, len(plan.times)
     pictures = f"{n} picture{'s' if n != 1 else ''} of {w} x {h}"
+    start_s = plan.predicted_s - sum(term.seconds for term in plan.terms)
+    begin = f", {_duration(start_s)} of it to begin" if start_s > TAKES_LITTLE * plan.predicted_s else ""
     return [
         *lines,
         "",
-        f"Together {bound.say(plan.predicted_error)} are predicted of the {bound} allowed; "
-        f"about {_duration(plan.predicted_s)} for {pictures}.",
-        "`<` marks a bound that cannot be passed, `~` an estimate from samples or from other scenes.",
-        *(["What stands in brackets is in no plan: no bound counts it."] if outside else []),
+        f"Together {bound.say(plan.predicted_error)} are predicted of the {bound} allowed; about "
+        f"{_duration(plan.predicted_s)} for {pictures}{begin}.",
+        "`<` marks what an error cannot be more than, `~` an estimate. Times are of all processors together, where",
+        "these draw, and count from when phoslab is loaded and has planned.",
+        *(
+            [
+                "In brackets: what neither the plan models nor the picture that it is held against: no bound counts it."
+            ]
+            if outside
+            else []
+        ),
         *(f"note: {note}" for note in plan.notes),
     ]
 
+
+# Of all that is predicted: shares of the time below that are not shown.
+TAKES_LITTLE = 0.01
 
 _KIND = {"bound": "<", "estimate": "~"}
 

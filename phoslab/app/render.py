@@ -1,9 +1,9 @@
 """Render a scene with glow-in-the-dark materials: lamp light, then what is left in the dark.
 
-SCENE is a scene.toml, or the folder that holds one. OUT ends in .png (as a display shows it) or .exr (radiance in
-spectral bands, and XYZ); several times give OUT with the time in its name. An OUT that ends in .basis.exr holds how the
-scene fades from one time in the dark on; given as SCENE, it gives the picture at any later time without rendering.
-One that ends in .mp4 is a film of the time from --from to --to, with all that the scene's animation moves.
+SCENE is a scene.toml, the folder that holds one, or the name of a sample scene. OUT ends in .png (as a display shows it)
+or .exr (radiance in spectral bands, and XYZ); several times give OUT with the time in its name. An OUT that ends in
+.basis.exr holds how the scene fades from one time in the dark on; given as SCENE, it gives the picture at any later time
+without rendering. One that ends in .mp4 is a film of the time from --from to --to, with all that the scene's animation moves.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from phoslab import times
+from phoslab.app import sample_scenes
 from phoslab.app.progress import progress_bar
-from phoslab.errors import PhoslabError
+from phoslab.errors import PhoslabError, found_in
 from phoslab.files import check_writable
 
 if TYPE_CHECKING:
     from phoslab.render import Scene, TransportParameters
 
 HELP = "render a scene at given times"
-EXAMPLE = "phoslab render scenes/fading -o glow.png --at off-1s,off+1s,off+80s"
+EXAMPLE = "phoslab render fading -o glow.png --at off-1s,off+1s,off+80s"
 
 # What the renderer knows by name, so that bad usage needs no renderer to be found out. A test compares them.
 SUFFIXES = (".png", ".exr", ".mp4")
@@ -53,7 +54,7 @@ T = TypeVar("T")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("scene", metavar="SCENE", type=Path, help="a scene.toml, or its folder")
+    parser.add_argument("scene", metavar="SCENE", type=sample_scenes.scene_path, help=sample_scenes.HELP)
     parser.add_argument(
         "-o", "--out", metavar="OUT", type=_picture, required=True, help="a .png, .exr or .mp4 to write"
     )
@@ -242,13 +243,14 @@ def _by_plan(args: argparse.Namespace, scene: Scene) -> tuple[list[Path], Sequen
     _refuse_what_a_plan_decides(args)
     warnings = []
     if args.plan is not None:
-        plan, wrong = check_plan(scene, read_plan(args.plan), trade=args.trade)
-        warnings = [wrong] if wrong else []
+        with found_in(args.plan):
+            plan, wrong = check_plan(scene, read_plan(args.plan), trade=args.trade)
+        warnings = [wrong.problem] if wrong else []
     else:
         plan = make_plan(scene, args.max_error, args.at, size=args.size, trade=args.trade)
     with progress_bar("rendering") as progress:
         frames = render_plan(scene, plan, progress=progress, warnings=warnings)
-    return frames.write(args.out), frames.warnings
+    return frames.write(args.out), [*frames.warnings, *plan.notes]
 
 
 def _refuse_what_a_plan_decides(args: argparse.Namespace) -> None:

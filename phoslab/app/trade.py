@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from phoslab.app import sample_scenes
 from phoslab.errors import PhoslabError
 
 HELP = "measure speed against accuracy on this machine"
@@ -21,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scene",
         action="append",
-        type=Path,
+        type=sample_scenes.scene_path,
         metavar="SCENE",
         help="model: a scene to measure on (may be repeated)",
     )

@@ -1,8 +1,8 @@
 """Just enough model: say how wrong a picture may be, and get the cheapest one that is not worse.
 
 >>> from phoslab.render.planning import make_plan, render_plan     # doctest: +SKIP
->>> plan = make_plan("scenes/cornell", "2%", ["off+1s"])           # doctest: +SKIP
->>> render_plan("scenes/cornell", plan).write("glow.png")          # doctest: +SKIP
+>>> plan = make_plan("sample_data/scenes/cornell", "2%", ["off+1s"])           # doctest: +SKIP
+>>> render_plan("sample_data/scenes/cornell", plan).write("glow.png")          # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -55,30 +55,36 @@ def check_plan(
     *,
     trade: str | PathLike[str] | None = None,
     device: Device | None = None,
-) -> tuple[ModelPlan, str | None]:
+) -> tuple[ModelPlan, PhoslabError | None]:
     """Return a plan with its errors and cost predicted anew, and what is wrong with it, if anything is.
+
+    What is wrong is not raised: such a plan can be followed all the same.
 
     Raises:
         PhoslabError: the plan does not fit the scene.
     """
     loaded = _scene(scene)
     # First, since what does not fit may be of another scene, whose times mean nothing here either.
-    check_fit(loaded, plan.choices)
+    check_fit(loaded, plan.choices, plan.scene)
     planner = _planner(loaded, plan.bound, plan.times, plan.size, trade, device)
     again = decisions.explain(planner, plan.choices)
     bound = parse_bound(plan.bound)
     if again.predicted_error > bound.value and planner.look_closer():
         again = decisions.explain(planner, plan.choices)
-    wrong = []
+    wrong, remedies = [], []
     if plan.scene_sha256 and plan.scene_sha256 != again.scene_sha256:
         wrong.append("the scene has changed since it was planned")
+        remedies.append(
+            "Take scene_sha256 out of the plan to follow it all the same, or plan anew with --max-error."
+        )
     if again.predicted_error > bound.value:
         worst = again.worst
         wrong.append(
             f"the plan breaks its bound of {bound}: {bound.say(again.predicted_error)} is predicted, "
-            f"{bound.say(worst.error)} of it by {worst.name} ({worst.choice})"
+            f"{bound.say(worst.error or 0.0)} of it by {worst.name} ({worst.choice})"
         )
-    return again, "; ".join(wrong) or None
+        remedies.append("Give it back what it left out there, or plan anew with --max-error.")
+    return again, PhoslabError("; ".join(wrong), remedy=" ".join(remedies)) if wrong else None
 
 
 def render_plan(
@@ -102,6 +108,7 @@ def render_plan(
         "phoslab:max_error": plan.bound,
         "phoslab:predicted_error": bound.say(plan.predicted_error),
         "phoslab:model": "; ".join(f"{term.name}: {term.choice}" for term in plan.terms),
+        "phoslab:notes": "; ".join(plan.notes),
     }
     said = tuple(replace(f, warnings=(*f.warnings, *warnings)) for f in frames.frames)
     return replace(frames, frames=said, about=about)

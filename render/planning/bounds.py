@@ -129,14 +129,18 @@ def parse_bound(text: str) -> Bound:
     >>> parse_bound("2%")
     Bound(value=2.0, unit='%')
     """
-    match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*(%|dE|flip)\s*", text, re.ASCII | re.IGNORECASE)
+    number = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?"
+    match = re.fullmatch(rf"\s*({number})\s*(%|dE|flip|)\s*", text, re.ASCII | re.IGNORECASE)
     if match is None:
         raise PhoslabError(f"{text!r} is not understood", field="the bound", remedy=REMEDY)
+    if not match[2]:
+        raise PhoslabError(f"{text!r} has no unit", field="the bound", remedy=REMEDY)
     unit = next(u for u in UNITS if u.lower() == match[2].lower())
     bound, largest = Bound(float(match[1]), unit), UNITS[unit][2]
     if not 0 < bound.value < largest:
+        problem = "a black picture would hold it" if bound.value > 0 else "no picture is less than right"
         raise PhoslabError(
-            f"{text!r} is absurd: a black picture is as good, or nothing is good enough",
+            f"{text!r} is absurd: {problem}",
             field="the bound",
             remedy=f"Give more than 0 and less than {largest:g}{unit}.",
         )

@@ -12,7 +12,8 @@ from phoslab.programmes import mean
 from phoslab.render.light_course import Course
 from phoslab.render.scene import Initial, Scene
 from phoslab.render.schedule import Schedule
-from phoslab.solvers import equilibrium, exact_step
+from phoslab.solvers import Drive as Excitation
+from phoslab.solvers import Step, equilibrium, exact2
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,7 @@ def charged(
     per_light: Array,
     moments: Array | Sequence[float],
     edges: Array | None = None,
+    solver: Step = exact2,
 ) -> Array:
     """Return (n_moments, n, n_c) the concentrations at ascending moments.
 
@@ -48,6 +50,7 @@ def charged(
         kr: (n, n_c) in 1/s.
         per_light: (n, n_lights, n_c) excitation in 1/s that each light gives at factor 1.
         edges: ends of the steps in s; None: every change of light, or `MOST_CHANGES` steps of mean light.
+        solver: what takes a step.
     """
     a = drive.factors[:, :, None] * per_light
     alike = [schedule.courses[name] for name in drive.names]
@@ -60,13 +63,24 @@ def charged(
     ends = np.unique(np.concatenate([edges, np.asarray(moments, dtype=np.float64)]))
     states, at = {0.0: r}, 0.0
     for end in ends[ends > 0]:
-        factors = np.array([mean_factor(course, at, float(end)) for course in alike])
-        r = exact_step(
-            r, np.einsum("l,nlc->nc", factors, a) if len(alike) else np.zeros_like(kr), kr, end - at
-        )
+        r = solver(r, _drive(alike, a, at, float(end)), kr, np.asarray(end - at))
         at = float(end)
         states[at] = r
     return np.stack([states[float(t)] for t in moments])
+
+
+def _drive(courses: Sequence[Course], a: Array, begin_s: float, end_s: float) -> Excitation:
+    """Return the (n, n_c) excitation from one time to another, of (n, n_lights, n_c) at factor 1."""
+
+    def of(factors: list[float]) -> Array:
+        together: Array = np.einsum("l,nlc->nc", np.array(factors).reshape(a.shape[1]), a)
+        return together
+
+    # At its end, the light before a jump.
+    return Excitation(
+        lambda s: of([course.at(begin_s + min(s, 1 - 1e-9) * (end_s - begin_s)) for course in courses]),
+        lambda: of([mean_factor(course, begin_s, end_s) for course in courses]),
+    )
 
 
 def per_light(ke_width: Array, scene: Scene) -> Array:

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from phoslab import trades
+from phoslab.errors import PhoslabError
 from phoslab.model_plan import Choices
 from phoslab.render.fade_basis import faded_stretches, fading_rates
+from phoslab.render.glow_methods import METHODS
 from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.optics import layer_count
 from phoslab.render.path_tracer import usual_variant
@@ -48,13 +50,18 @@ class Costs:
 
     def predict_s(self, choices: Choices, work: Work) -> float:
         """Return the predicted time of all pictures in s."""
-        pixels = work.size[0] * work.size[1]
-        total = float(sum(self.costs_s.get(k, 0.0) * v for k, v in features(choices, work).items()))
+        return sum(self.shares_s(choices, work).values())
+
+    def shares_s(self, choices: Choices, work: Work) -> dict[str, float]:
+        """Return the predicted time in s by the decision that it follows from; "start" is that of none."""
+        shares = dict.fromkeys(dict.fromkeys(_DECIDES.values()), 0.0)
+        for name, count in features(choices, work).items():
+            shares[_DECIDES[name]] += self.costs_s.get(name, 0.0) * count
         alike = [m for m in self.gi if m.method == choices.gi["method"]]
         if alike:
             nearest = min(alike, key=lambda m: unlike(m.parameters, choices.gi))
-            total += nearest.once_s + nearest.s_per_pixel * pixels
-        return total
+            shares["gi"] += nearest.once_s + nearest.s_per_pixel * work.size[0] * work.size[1]
+        return shares
 
 
 def unlike(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
@@ -74,10 +81,23 @@ def load_costs(path: str | PathLike[str] | None = None) -> Costs:
     return Costs(
         texel_error=data["texels"]["error"],
         texel_power=data["texels"]["power"],
-        gi=tuple(MeasuredWay(**way) for way in data["gi"]),
+        gi=tuple(_way(way, data["gi"].index(way), path) for way in data["gi"]),
         path_noise=data["path_noise"],
         costs_s={**data["costs_s"], **_of_paths(data)},
     )
+
+
+def _way(way: dict[str, Any], k: int, path: str | PathLike[str] | None) -> MeasuredWay:
+    known = {f.name for f in fields(TransportParameters)}
+    for field, name in (("method", way["method"]), *(("parameters", p) for p in way["parameters"])):
+        if name not in (METHODS if field == "method" else known):
+            raise PhoslabError(
+                f"has {name!r}, which this version of phoslab does not know",
+                file=path,
+                field=f"gi[{k}].{field}",
+                remedy="Measure anew: phoslab trade model -o DIR; its trade.json lies in DIR.",
+            )
+    return MeasuredWay(**way)
 
 
 def _of_paths(data: Mapping[str, Any]) -> dict[str, float]:
@@ -90,6 +110,16 @@ def _of_paths(data: Mapping[str, Any]) -> dict[str, float]:
     return {}
 
 
+# From which decision the time of a feature follows.
+_DECIDES = {
+    "start": "start",
+    "texel_layer": "texels",
+    "sample_layer": "bands",
+    "texel_step": "solver",
+    "path_start": "gi",
+    "path_picture": "gi",
+    "path": "gi",
+}
 FEATURES = ("start", "texel_layer", "sample_layer", "texel_step")
 PATH_FEATURES = ("path_start", "path_picture", "path")
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from phoslab.render.glow_transport import NONE
 from phoslab.render.planning import transport_terms
 from phoslab.render.planning.notes import notes, recharging
 from phoslab.render.planning.planner import BUDGET, Planner
+from phoslab.render.solvers import find_solver
 
 # Of what a state loses: less than that may charge it unsaid.
 MATTERS = 1e-3
@@ -49,68 +51,100 @@ def explain(planner: Planner, choices: Choices) -> ModelPlan:
 
 def _decided(planner: Planner, choices: Choices) -> Iterator[Term]:
     """Yield every decision of `choices`; their errors are in the unit of the bound."""
-    request = planner.request
+    request, took = planner.request, planner.shares_s(choices)
+    within = BUDGET * request.bound.value
     surfaces = dict(choices.surfaces)
     dark = [name for name, s in surfaces.items() if not s.glows]
     glowing = [name for name, s in surfaces.items() if s.glows]
+    lost = planner.glow_error(surfaces)
     yield Term(
         "glow",
         f"{len(glowing)} of {len(surfaces)} surfaces",
-        planner.glow_error(surfaces),
+        lost,
         "estimate",
-        f"the light of {_names(dark)} is not seen beside the rest" if dark else "all that can glow is seen",
+        "all that can glow is seen, or lights what is seen"
+        if not dark
+        else f"the light of {_names(dark)} is not seen beside the rest"
+        if lost <= within
+        else f"the light of {_names(dark)} is left out, and would be seen",
     )
     own = {d.name: d.phosphor.optics.n_states for d in request.scene.phosphors if d.phosphor is not None}
     kept, all_states = sum(len(surfaces[n].states) for n in glowing), sum(own[n] for n in glowing)
+    lost = planner.state_error(surfaces)
     yield Term(
         "states",
         f"{kept} of {all_states}",
-        planner.state_error(surfaces),
+        lost,
         "estimate",
         "nothing glows"
         if not glowing
+        else "of the states that fade at rates of their own, each is seen at some time asked for"
+        if kept == all_states
         else "the others have died, were never charged, or fade like one that is kept"
-        if kept < all_states
-        else "each is seen at some time asked for",
+        if lost <= within
+        else "the others are left out, and would be seen",
     )
     bands = Bands(np.array(choices.bands_nm))
+    lost = planner.band_error(bands)
     yield Term(
         "bands",
         f"{bands.n} of {request.scene.transport.n}",
-        planner.band_error(bands),
+        lost,
         "bound" if request.bound.of_the_whole else "estimate",
-        "each lamp excites each state by one number; light needs no more bands for its colour"
-        if bands != request.scene.transport
-        else "fewer would change a colour by more, or cost the same",
+        "fewer would be off by more than is left of the bound, or save nothing"
+        if bands == request.scene.transport
+        else "fewer than the light's colours need"
+        if lost > within
+        else "enough for the colours of the light"
+        + ("; how lamps excite is kept whatever the bands" if glowing and request.scene.lights else ""),
+        seconds=took["bands"],
     )
-    stepped = planner.stepped(choices)
-    yield Term(
-        "solver",
-        choices.solver if len(planner.steps) == 1 else f"{choices.solver}, {choices.step_s:.3g} s",
-        planner.step_error(stepped),
-        "bound" if len(planner.steps) == 1 else "estimate",
-        "light is constant between its changes: one step to each"
-        if len(planner.steps) == 1
-        else "light varies: the step is as long as halving it allows",
-    )
+    yield _stepped(planner, choices, took["solver"])
     largest = max((surfaces[n].atlas_texels for n in glowing), default=0)
     fewest = min((surfaces[n].atlas_texels for n in glowing), default=0)
+    lost = planner.texel_error(surfaces)
     yield Term(
         "texels",
         "-" if not glowing else f"{fewest}" if fewest == largest else f"{fewest} to {largest}",
-        planner.texel_error(surfaces),
+        lost,
         "estimate",
-        "as many as the camera can tell apart" if glowing else "nothing glows",
+        "nothing glows"
+        if not glowing
+        else "along a side of each surface: as many as the camera can tell apart"
+        if lost <= within
+        else "along a side of each surface: fewer than the camera can tell apart",
+        seconds=took["texels"],
     )
     yield Term(
         "state format",
         choices.state_format,
-        planner.glow_changed(_format_error(choices.state_format, stepped.steps)),
+        planner.glow_changed(_format_error(choices.state_format, planner.stepped(choices).steps)),
         "bound",
         "what is stored at each change of light is rounded to it",
     )
-    yield from _transport(planner, choices)
+    yield from _transport(planner, choices, took["gi"])
     yield from _outside(planner)
+
+
+def _stepped(planner: Planner, choices: Choices, seconds: float) -> Term:
+    """Return how states go on in time."""
+    stepped = planner.stepped(choices)
+    jumps = find_solver(choices.solver).closed_form and planner.request.scene.schedule.piecewise_constant
+    lost = planner.step_error(stepped)
+    return Term(
+        "solver",
+        choices.solver if jumps else f"{choices.solver}, {choices.step_s:.3g} s",
+        lost,
+        "bound" if jumps else "estimate",
+        "light is constant between its changes, and one step goes to each without error"
+        if jumps
+        else "steps of that length"
+        if planner.request.scene.schedule.piecewise_constant
+        else "light varies: the step is as long as halving it allows"
+        if lost <= BUDGET * planner.request.bound.value
+        else "light varies, and changes too much within a step",
+        seconds=seconds,
+    )
 
 
 def _outside(planner: Planner) -> Iterator[Term]:
@@ -119,77 +153,87 @@ def _outside(planner: Planner) -> Iterator[Term]:
     if twice > 0:
         yield Term(
             "lamp bounces",
-            "1",
+            "first only",
             twice,
             OUTSIDE,
-            "lamp light that walls send on, of which this is the second reflection: render --lamp-bounces has it",
+            "lamps light what they shine on; what walls then send on would change this much: render --lamp-bounces",
         )
     share = recharging(planner.pilot)
     if share > MATTERS:
         yield Term(
             "glow excites",
             "no",
-            0.0,
+            None,
             OUTSIDE,
-            f"glow all around would give phosphors {share:.1%} of what they lose: render --glow-excites has it",
+            f"phosphors charging each other would win back at most {share:.1%} of what they lose: "
+            "render --glow-excites",
         )
 
 
-def _transport(planner: Planner, choices: Choices) -> Iterator[Term]:
+def _transport(planner: Planner, choices: Choices, seconds: float) -> Iterator[Term]:
     request = planner.request
     way = planner.way(choices.gi)
     bounces = planner.pilot.means()[2]
     share = float((bounces.sum(axis=0) / np.maximum(planner.pilot.total.mean(axis=1), 1e-300)).max())
     method = choices.gi["method"]
-    said = f"glow that others reflect is {share:.1%} of the light"
     endless = method == transport_terms.REFERENCE and choices.gi.get("full", False)
-    parameters = ", ".join(
-        f"{v} {k}" for k, v in choices.gi.items() if k not in ("method", "full", "bounces")
-    )
+    n = choices.gi.get("bounces", 1)
+    said = f"glow that others reflect is {share:.1%} of the light"
     yield Term(
         "reflections",
-        "0" if method == NONE else "all" if endless else str(choices.gi.get("bounces", 1)),
+        "0" if method == NONE else "all" if endless else str(n),
         way.left_out,
         "estimate",
-        said,
+        said if endless or method == NONE else f"{said}; what comes after {n} of them is left out",
     )
-    yield Term(
-        "gi",
-        method + (f", {parameters}" if parameters else ""),
-        way.inexact,
-        "estimate",
-        "nothing to transport"
-        if method == NONE
-        else "noise measured in this scene"
-        if method == transport_terms.REFERENCE
-        else "measured on scenes of the trade",
-    )
-    n = len(set(request.moments))
-    drawn = planner.drawn if method != NONE else n
+    yield Term("gi", _named(choices.gi), way.inexact, "estimate", _reason(planner, choices), seconds=seconds)
+    times = len(set(request.moments))
+    drawn = planner.drawn if method != NONE else times
     yield Term(
         "fade basis",
-        "yes" if drawn < n else "no",
+        "yes" if drawn < times else "no",
         0.0,
         "bound",
-        f"{drawn} pictures serve {n} times"
-        if drawn < n
-        else "it would take as many pictures as there are times",
+        f"{drawn} pictures, of one rate each, serve {times} times"
+        if drawn < times
+        else "a picture of each rate, to serve all times, would be no fewer than a picture of each time",
     )
+
+
+def _named(gi: Mapping[str, Any]) -> str:
+    return ", ".join(
+        [gi["method"], *(f"{v} {k}" for k, v in gi.items() if k not in ("method", "full", "bounces"))]
+    )
+
+
+def _reason(planner: Planner, choices: Choices) -> str:
+    """Say where the error of the way to transport glow is from, and what a quicker one would err by."""
+    method, bound = choices.gi["method"], planner.request.bound
+    if method == NONE:
+        return "reflected glow is not modelled"
+    measured = (
+        "its noise was tried here" if method == transport_terms.REFERENCE else "measured on sample scenes"
+    )
+    other = planner.rival(choices)
+    if other is None:
+        return f"{measured}; no other way is quicker"
+    return f"{measured}; {_named(other.gi)} would be quicker and add {bound.say(planner.way(other.gi).error)}"
 
 
 def _out_of_reach(planner: Planner, choices: Choices) -> PhoslabError:
     """Return what to say where even `choices`, the best there are, miss the bound."""
     bound, best = planner.request.bound, explain(planner, choices)
     worst, reached = best.worst, best.predicted_error / BUDGET
+    took = "" if best.predicted_s < 60 else f" (in some {best.predicted_s / 60:.2g} min)"
     missing = (
         ""
         if transport_terms.traces_paths()
         else " The path tracer would reach further: pip install 'phoslab[reference]'."
     )
     return PhoslabError(
-        f"{bound} is out of reach: {worst.name} ({worst.choice}) alone adds {bound.say(worst.error)}",
+        f"{bound} is out of reach: {worst.name} ({worst.choice}) alone adds {bound.say(worst.error or 0.0)}",
         field="the bound",
-        remedy=f"The best that can be had is {bound.say(reached)}.{missing}",
+        remedy=f"The best that can be had is {bound.say(reached)}{took}: ask for no less than that.{missing}",
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,33 +15,52 @@ from phoslab.render.planning.pilot import Pilot, Sampled
 
 def notes(pilot: Pilot, choices: Choices) -> tuple[str, ...]:
     """Return what to know of a plan besides its bound."""
-    return tuple(dict.fromkeys([*_materials(pilot, choices), *_beyond(pilot)]))
+    glowing = [
+        (pilot.scene.drawables[k].name, sampled)
+        for k, sampled in pilot.sampled.items()
+        if choices.surfaces[pilot.scene.drawables[k].name].glows
+    ]
+    return (*_known(pilot, glowing), *_beyond(pilot, glowing))
 
 
-def _materials(pilot: Pilot, choices: Choices) -> list[str]:
-    """Say how well each material that glows is known, at the moment at which that is worst."""
-    said: list[str] = []
-    unknown: list[tuple[str, str]] = []
-    sure: set[str] = set()
-    for k, sampled in pilot.sampled.items():
-        if not choices.surfaces[pilot.scene.drawables[k].name].glows:
-            continue
-        material = sampled.phosphor.material
-        known = [e for t in range(len(pilot.moments)) if (e := glow_error(pilot, sampled, t)) is not None]
-        if known:
-            sure.add(material.name)
-            said.append(
-                f"the glow of {material.name!r} itself is known to {max(known):.1%} (one standard error); no model of "
-                "it is better"
-            )
+Glowing = Sequence[tuple[str, Sampled]]
+
+
+def _known(pilot: Pilot, glowing: Glowing) -> Iterator[str]:
+    """Say how well the material of each surface that glows is known, at the moment at which that is worst."""
+    known, unknown = [], []
+    for name, sampled in glowing:
+        errors = [e for t in range(len(pilot.moments)) if (e := glow_error(pilot, sampled, t)) is not None]
+        if errors:
+            known.append(f"{_of(name, sampled)} to {max(errors):.1%}")
         else:
-            unknown.append((material.name, pilot.scene.drawables[k].name))
+            unknown.append(_of(name, sampled))
+    if known:
+        yield (
+            f"how bright the materials themselves are is known, as one standard error, of {', '.join(known)}: "
+            "to model them better gains nothing"
+        )
     if unknown:
-        # Two materials may share a name: the mesh tells them apart.
-        each = (f"{name!r} of {mesh}" if name in sure else repr(name) for name, mesh in unknown)
-        names = ", ".join(dict.fromkeys(each))
-        said.append(f"no standard errors come with {names}: nobody knows how well they are known")
-    return said
+        yield f"how well the materials themselves are known is not stated (no standard errors) of {', '.join(unknown)}"
+
+
+def _beyond(pilot: Pilot, glowing: Glowing) -> Iterator[str]:
+    """Say which surfaces are asked for later than the data of their materials support."""
+    dark = [d for t in pilot.moments if (d := pilot.scene.schedule.dark_for_s(float(t))) is not None]
+    late = [
+        f"{_of(name, sampled)} {valid[1]:g} s"
+        for name, sampled in glowing
+        if (valid := sampled.phosphor.material.valid_s) is not None and dark and max(dark) > valid[1]
+    ]
+    if late:
+        yield (
+            f"{max(dark):g} s after the light is later than the data of some materials support: {', '.join(late)}; "
+            "from then on the bound holds for the model, not for the material"
+        )
+
+
+def _of(name: str, sampled: Sampled) -> str:
+    return f"{name} ({sampled.phosphor.material.name})"
 
 
 def glow_error(pilot: Pilot, sampled: Sampled, t: int) -> float | None:
@@ -77,19 +98,6 @@ def _log_rates(material: Material) -> NDArray[np.float64]:
         return np.zeros((n, n))
     at = [stated["parameters"].index(name) for name in names]
     return np.asarray(stated["matrix"], dtype=np.float64)[np.ix_(at, at)]
-
-
-def _beyond(pilot: Pilot) -> list[str]:
-    said = []
-    for sampled in pilot.sampled.values():
-        material = sampled.phosphor.material
-        dark = [d for t in pilot.moments if (d := pilot.scene.schedule.dark_for_s(float(t))) is not None]
-        if material.valid_s is not None and dark and max(dark) > material.valid_s[1]:
-            said.append(
-                f"{max(dark):g} s after the light is beyond the {material.valid_s[1]:g} s that the data of "
-                f"{material.name!r} support: the bound holds for the model, not for the material there"
-            )
-    return said
 
 
 def recharging(pilot: Pilot) -> float:

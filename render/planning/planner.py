@@ -30,7 +30,7 @@ from phoslab.render.planning.pilot import Pilot, look
 from phoslab.render.planning.probe import PATHS, PathNoise, measure_noise
 from phoslab.render.planning.reduced import whole
 from phoslab.render.planning.sensitivity import Sensitivity
-from phoslab.render.planning.step_terms import Stepped, steps
+from phoslab.render.planning.step_terms import Stepped, judged, steps
 from phoslab.render.scene import Scene
 
 Array = NDArray[np.float64]
@@ -70,6 +70,13 @@ class Planner:
     def __init__(self, request: Request, costs: Costs, device: Device | None = None) -> None:
         self.request, self.costs, self._device = request, costs, device
         scene = request.scene
+        if scene.motion is not None:
+            raise PhoslabError(
+                "moves, and plans are for scenes in which all is at rest",
+                file=scene.file,
+                field="what its glTF file animates",
+                remedy="Render it with options of your own, such as --gi tiles, or take the animations out.",
+            )
         self.pilot: Pilot = look(scene, _some(request.moments), request.size)
         if not self.pilot.pictures.any():
             raise PhoslabError(
@@ -79,6 +86,7 @@ class Planner:
             )
         self.drawn = pictures(scene, list(request.moments))
         self.steps = steps(self.pilot)
+        self._stepped = {(s.solver, s.step_s): s for s in self.steps}
         self._sensitivity = Sensitivity(self.pilot, request.bound)
         self._noise: PathNoise | None = None
         self._closest_look = False
@@ -168,15 +176,22 @@ class Planner:
 
     def predict_s(self, choices: Choices) -> float:
         """Return the predicted time of all pictures in s."""
-        request = self.request
-        work = Work(
-            request.size,
-            request.scene.supersampling,
-            len(request.moments),
-            self.drawn,
-            self.stepped(choices).steps,
-        )
-        return self.costs.predict_s(choices, work)
+        return self.costs.predict_s(choices, self._work(choices))
+
+    def shares_s(self, choices: Choices) -> dict[str, float]:
+        """Return the predicted time in s by the decision that it follows from."""
+        return self.costs.shares_s(choices, self._work(choices))
+
+    def _work(self, choices: Choices) -> Work:
+        request, steps = self.request, self.stepped(choices).steps
+        return Work(request.size, request.scene.supersampling, len(request.moments), self.drawn, steps)
+
+    def rival(self, choices: Choices) -> Choices | None:
+        """Return the same with the way to transport glow that errs least, of others that take less time; or None."""
+        method, own_s = choices.gi["method"], self.predict_s(choices)
+        others = [replace(choices, gi=gi) for gi in self._settings if gi["method"] not in (method, NONE)]
+        quicker = [other for other in others if self.predict_s(other) < own_s]
+        return min(quicker, key=lambda other: self.way(other.gi).error, default=None)
 
     @cached_property
     def _rest(self) -> list[tuple[Choices, float]]:
@@ -339,10 +354,11 @@ class Planner:
         return self._sensitivity.between(pictures + self.pilot.lamp_twice.reshape(pictures.shape))
 
     def stepped(self, choices: Choices) -> Stepped:
-        """Return the way of stepping that is nearest to what the choices say."""
-        if len(self.steps) == 1:
-            return self.steps[0]
-        return min(self.steps, key=lambda s: abs(math.log(s.step_s / choices.step_s)))
+        """Return the way of stepping that the choices say."""
+        key = choices.solver, choices.step_s
+        if key not in self._stepped:
+            self._stepped[key] = judged(self.pilot, self.steps, *key)
+        return self._stepped[key]
 
 
 def _some(moments: Sequence[float]) -> list[float]:

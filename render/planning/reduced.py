@@ -7,8 +7,9 @@ again. It need not be positive then. This is exact as long as there are no more 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import lru_cache
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from phoslab.bands import Bands, overlap_nm, rebin
 from phoslab.errors import PhoslabError
 from phoslab.model_plan import Choices, Surface
-from phoslab.render.glow_methods import find_method
+from phoslab.render.glow_methods import NAMES
 from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.optics import Optics
 from phoslab.render.scene import Drawable, Light, Scene
@@ -58,14 +59,35 @@ def transport_parameters(choices: Choices) -> TransportParameters:
     Raises:
         PhoslabError: a parameter is unknown or out of range.
     """
-    try:
-        return TransportParameters(**choices.gi)
-    except TypeError as error:
-        raise _misfit("choices.gi", f"holds what glow transport does not know ({error})") from None
+    if choices.gi["method"] not in NAMES:
+        raise _misfit(
+            "choices.gi.method", f"is {choices.gi['method']!r}", remedy=f"Use one of: {', '.join(NAMES)}."
+        )
+    kinds = {f.name: type(f.default) for f in fields(TransportParameters)}
+    for name, value in choices.gi.items():
+        if name not in kinds:
+            known = ", ".join(k for k in kinds if k != "method")
+            raise _misfit(
+                f"choices.gi.{name}", "is no parameter of glow transport", remedy=f"Use some of: {known}."
+            )
+        fitting = (int, float) if kinds[name] is float else (kinds[name],)
+        if type(value) not in fitting:
+            raise _misfit(
+                f"choices.gi.{name}",
+                f"is {value!r}",
+                remedy=f"Give {_KINDS[kinds[name]]}, such as {json.dumps(getattr(TransportParameters, name))}.",
+            )
+    return TransportParameters(**choices.gi)
 
 
-def check_fit(scene: Scene, choices: Choices) -> None:
+_KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+
+
+def check_fit(scene: Scene, choices: Choices, planned_for: str = "") -> None:
     """Refuse choices that belong to another scene, or to none.
+
+    Args:
+        planned_for: the scene that a plan names.
 
     Raises:
         PhoslabError: a name, a state or a band is not there.
@@ -73,30 +95,35 @@ def check_fit(scene: Scene, choices: Choices) -> None:
     phosphors = {d.name: d for d in scene.phosphors}
     unlike = set(phosphors) ^ set(choices.surfaces)
     if unlike:
-        raise _misfit("choices.surfaces", f"and the scene's phosphors differ in {sorted(unlike)[0]!r}")
+        of = f": the plan is of {planned_for}" if planned_for else ""
+        raise _misfit("choices.surfaces", f"and the scene's phosphors differ in {sorted(unlike)[0]!r}{of}")
     for name, surface in choices.surfaces.items():
         phosphor = phosphors[name].phosphor
         assert phosphor is not None
         used = [i for group in surface.states for i in group]
-        if len(set(used)) != len(used) or max(used) >= phosphor.optics.n_states:
+        n = phosphor.optics.n_states
+        if len(set(used)) != len(used):
+            raise _misfit(f"choices.surfaces.{name}.states", "names a state twice")
+        if max(used) >= n:
             raise _misfit(
                 f"choices.surfaces.{name}.states",
-                f"names a state twice, or one beyond the material's {phosphor.optics.n_states}",
+                f"names state {max(used)}, but the material has {'state 0 alone' if n == 1 else f'0 to {n - 1}'}",
             )
-    edges = Bands(np.array(choices.bands_nm)).edges_nm
+    try:
+        edges = Bands(np.array(choices.bands_nm)).edges_nm
+    except PhoslabError as error:
+        raise _misfit("choices.bands_nm", error.problem) from None
     own = scene.transport.edges_nm
     if not np.isin(edges, own).all() or edges[0] != own[0] or edges[-1] != own[-1]:
         raise _misfit("choices.bands_nm", "has other edges than the scene's bands")
     find_solver(choices.solver)
     find_format(choices.state_format)
-    if transport_parameters(choices).method != NONE:
-        find_method(choices.gi["method"])
+    transport_parameters(choices)
 
 
-def _misfit(field: str, problem: str) -> PhoslabError:
-    return PhoslabError(
-        problem, field=f"the plan's {field}", remedy="Plan this scene anew: phoslab plan SCENE -o plan.json."
-    )
+def _misfit(field: str, problem: str, remedy: str = "") -> PhoslabError:
+    anew = "Plan this scene anew: phoslab plan SCENE --max-error BOUND -o plan.json."
+    return PhoslabError(problem, field=f"the plan's {field}", remedy=remedy or anew)
 
 
 def _drawable(
