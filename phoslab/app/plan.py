@@ -1,8 +1,8 @@
 """Say what of a scene has to be modelled for a picture that is no more wrong than you allow, and what it costs.
 
-SCENE is a scene.toml, the folder that holds one, or the name of a sample scene. The error counts against the same scene
-with everything on and glow followed to its end: `2%` is mean |a - b| / mean b of the radiance, `1dE` the mean CIEDE2000,
-`0.05flip` the mean FLIP.
+SCENE is a scene.toml, the folder that holds one, or the name of a sample scene. The error counts against the same
+scene with everything on and glow followed to its end: `2%` is mean |a - b| / mean b of the radiance, `1dE` the mean
+CIEDE2000, `0.05flip` the mean FLIP.
 A plan can be saved, edited and followed: phoslab render SCENE --plan plan.json.
 """
 

@@ -1,9 +1,10 @@
 """Render a scene with glow-in-the-dark materials: lamp light, then what is left in the dark.
 
-SCENE is a scene.toml, the folder that holds one, or the name of a sample scene. OUT ends in .png (as a display shows it)
-or .exr (radiance in spectral bands, and XYZ); several times give OUT with the time in its name. An OUT that ends in
-.basis.exr holds how the scene fades from one time in the dark on; given as SCENE, it gives the picture at any later time
-without rendering. One that ends in .mp4 is a film of the time from --from to --to, with all that the scene's animation moves.
+SCENE is a scene.toml, the folder that holds one, or the name of a sample scene. OUT ends in .png (as a display shows
+it) or .exr (radiance in spectral bands, and XYZ); several times give OUT with the time in its name. An OUT that ends in
+.basis.exr holds how the scene fades from one time in the dark on; given as SCENE, it gives the picture at any later
+time without rendering. One that ends in .mp4 is a film of the time from --from to --to, with all that the scene's
+animation moves.
 """
 
 from __future__ import annotations
