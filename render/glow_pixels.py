@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import moderngl
 import numpy as np
+from numpy.typing import NDArray
 
-from phoslab.render.device import Device, read_array, set_uniforms
+from phoslab.render.device import Device, bind_buffers, read_array, set_uniforms
 from phoslab.render.glow_transport import Surroundings
 from phoslab.render.optics import layer_count
 from phoslab.render.passes import Picture, false_grey
@@ -37,7 +38,8 @@ class GlowPixels:
         self.light, self._spare = (device.texture_array((w, h), layers) for _ in range(2))
         self.nearness = device.buffer(np.full(w * h, FAR, dtype=np.float32))
         self.guide = device.buffer(np.zeros((w * h, 2), dtype=np.float32))
-        self._defines = {"SUPERSAMPLING": surroundings.supersampling, "LAYERS": layers}
+        self._seen = {"SUPERSAMPLING": surroundings.supersampling}
+        self._defines = {**self._seen, "LAYERS": layers}
         self._looks = {"AIMLESS": looks}
 
     def bind_receivers(self, shader: moderngl.ComputeShader) -> None:
@@ -56,11 +58,21 @@ class GlowPixels:
         for along in ((stride, 0), (0, stride)):
             self._swap(shader, along)
 
+    def shares(self, radius: int) -> NDArray[np.float32]:
+        """Return (h w,) how much of what the filter may add up it does, rows from the lowest on; 0: nothing is seen."""
+        w, h = self._around.size
+        shader = self._device.compute("glow_share", {**self._seen, **self._looks, "RADIUS": radius})
+        with self._device.scope():
+            shares = self._device.buffer(np.zeros(w * h, dtype=np.float32))
+            self.bind_receivers(shader)
+            bind_buffers(self.nearness, self.guide, shares)
+            self._device.dispatch(shader, self._around.size)
+            return np.frombuffer(shares.read(), dtype=np.float32)
+
     def filter(self, radius: int) -> None:
         """Share light over `radius` pixels to each side, less far where something stands near."""
         shader = self._device.compute("glow_filter", {**self._defines, **self._looks, "RADIUS": radius})
-        self.nearness.bind_to_storage_buffer(0)
-        self.guide.bind_to_storage_buffer(1)
+        bind_buffers(self.nearness, self.guide)
         for along in ((1, 0), (0, 1)):
             self._swap(shader, along)
 

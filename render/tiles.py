@@ -6,6 +6,7 @@
     tile_hits      the nearest cell in each direction of each pixel               once
     tile_guide     where shadows may end, for the filter                          once
     glow_guide     the same, smoothed                                             once
+    glow_share     which pixels share little: these look in more directions       once
     cell_rays      what the cells see of each other                               once, where light bounces
     cell_glow      what each cell sends                                           per picture
     tile_light     the mean over a pixel's directions                             per picture
@@ -30,7 +31,6 @@ from numpy.typing import NDArray
 from phoslab.render.cell_rays import CellTree
 from phoslab.render.cells import Cells
 from phoslab.render.device import LOOP_TURNS, Device, bind_buffers, set_uniforms
-from phoslab.render.directions import mixed_points
 from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import Surroundings, TransportParameters
 from phoslab.render.lit_cells import LitCells
@@ -38,6 +38,7 @@ from phoslab.render.memory import check_room
 from phoslab.render.optics import layer_count, to_layers
 from phoslab.render.passes import Picture
 from phoslab.render.surfels import Extent
+from phoslab.render.tile_looks import MORE, MOST, MOST_MORE, Looks, in_order, that_share_little
 
 TILE = 16  # pixels along a side; as in shaders/include/tiles.glsl
 GROUP_FLOATS = 12
@@ -63,38 +64,41 @@ class Tiles:
         self._device, self._around, self._parameters = device, surroundings, parameters
         w, h = surroundings.size
         self._tiles = (-(-w // TILE), -(-h // TILE))
-        check_room(w * h * parameters.directions * 8, "what a picture's directions hit")
-        self._hits = device.buffer(np.zeros((w * h * parameters.directions, 2), dtype=np.uint32))
         self.lit_cells = LitCells(device, surroundings, parameters)
-        pattern = max(1, parameters.filter_px)
-        aimed = round(parameters.directions * parameters.guided)
-        aimless = parameters.directions - aimed
-        self._pixels = GlowPixels(device, surroundings, Extent.of(surroundings.drawables), looks=aimless)
-        self._points = device.buffer(mixed_points(pattern, aimless, aimed).astype(np.float32))
+        self._looks = Looks.of(device, w * h, parameters.directions, parameters)
+        more = min(MORE * parameters.directions, MOST_MORE) if parameters.filter_px else 0
+        self._more = Looks.of(device, int(MOST * w * h), more, parameters) if more else None
+        self._order = in_order((w, h), TILE, max(1, parameters.filter_px))
+        self._looks.take(self._order)
+        looks = self._looks.aimless
+        self._pixels = GlowPixels(device, surroundings, Extent.of(surroundings.drawables), looks=looks)
         self._defines = {
             "SUPERSAMPLING": surroundings.supersampling,
-            "DIRECTIONS": parameters.directions,
-            "AIMLESS": aimless,
             "BATCH": BATCH,
-            "PATTERN": pattern,
+            "PATTERN": max(1, parameters.filter_px),
             "LAYERS": layer_count(surroundings.scene.transport.n),
         }
 
-    def _program(self, name: str, *defines: str) -> moderngl.ComputeShader:
+    def _program(self, name: str, *defines: str, looks: Looks | None = None) -> moderngl.ComputeShader:
         """Return a shader with those of the defines that it uses: fewer variants are built."""
-        return self._device.compute(name, {d: self._defines[d] for d in defines})
+        more = {} if looks is None else {"DIRECTIONS": looks.directions, "AIMLESS": looks.aimless}
+        known = {**self._defines, **more}
+        return self._device.compute(name, {d: known[d] for d in defines})
+
+    def _hit_shader(self, looks: Looks) -> moderngl.ComputeShader:
+        names = ("SUPERSAMPLING", "DIRECTIONS", "AIMLESS", "PATTERN", "BATCH")
+        return self._program("tile_hits", *names, looks=looks)
 
     def prepare(self) -> None:
         """Make the cells, and find what every ray meets."""
         self.lit_cells.place()
         self._pixels.extent = Extent.of(self._around.drawables)
         # Built before the scope, so that they outlive it: while things move, this is done for every picture.
-        self._hit_shader = self._program(
-            "tile_hits", "SUPERSAMPLING", "DIRECTIONS", "AIMLESS", "PATTERN", "BATCH"
-        )
+        for looks in filter(None, (self._looks, self._more)):
+            self._hit_shader(looks)
         self._group_shader = self._program("tile_groups", "SUPERSAMPLING")
         self._guide_shaders = (
-            self._program("tile_guide", "DIRECTIONS"),
+            self._program("tile_guide", "DIRECTIONS", looks=self._looks),
             self._program("glow_guide", "SUPERSAMPLING"),
         )
         self._aim_shaders = [self._device.compute("tile_aims", d) for d in ({}, {"FILL": 1})]
@@ -105,9 +109,13 @@ class Tiles:
             p = self._parameters
             tree = CellTree(self._device, self.cells, detail=p.detail, sends_on=p.sends_on)
             corners = self._device.buffer(self.cells.aims())
-            aims = self._choose_aims(tree, groups, n_groups, corners)
-            self._find_hits(tree, groups, *aims, corners)
+            seen = (tree, groups, *self._choose_aims(tree, groups, n_groups, corners), corners)
+            self._find_hits(self._looks, *seen)
             self._find_guide(tree)
+            if self._more is not None:
+                shares = self._pixels.shares(p.filter_px)
+                self._more.take(that_share_little(shares, self._order))
+                self._find_hits(self._more, *seen)
 
     @property
     def cells(self) -> Cells:
@@ -149,22 +157,30 @@ class Tiles:
 
     def _find_hits(
         self,
+        looks: Looks,
         tree: CellTree,
         groups: moderngl.Buffer,
         ends: moderngl.Buffer,
         aims: moderngl.Buffer,
         corners: moderngl.Buffer,
     ) -> None:
-        shader = self._hit_shader
+        if not looks.count:
+            return
+        shader = self._hit_shader(looks)
         self._pixels.bind_receivers(shader)
         tree.bind(shader)
-        made = (self._hits, self._pixels.nearness)
-        bind_buffers(groups, ends, aims, corners, self._points, *made, first=1)
-        set_uniforms(shader, tiles=self._tiles, all_send=self._parameters.sends_on)
-        for first in range(0, self._parameters.directions, BATCH):
+        own = (looks.points, looks.pixels, looks.hits, self._pixels.nearness)
+        bind_buffers(groups, ends, aims, corners, *own, first=1)
+        set_uniforms(
+            shader,
+            tiles=self._tiles,
+            count=looks.count,
+            all_send=self._parameters.sends_on,
+            is_first=looks is self._looks,
+        )
+        for first in range(0, looks.directions, BATCH):
             set_uniforms(shader, first=first)
-            shader.run(2 * self._tiles[0], self._tiles[1])
-            self._device.ctx.memory_barrier()
+            self._device.dispatch_items(shader, looks.count)
         tree.check()
 
     def _find_guide(self, tree: CellTree) -> None:
@@ -172,9 +188,9 @@ class Tiles:
         rough = self._device.buffer(np.zeros((size[0] * size[1], 2), dtype=np.float32))
         judge, smooth = self._guide_shaders
         tree.bind(judge)
-        bind_buffers(self._hits, rough, first=1)
-        set_uniforms(judge, size=size)
-        self._device.dispatch(judge, size)
+        bind_buffers(self._looks.hits, self._looks.pixels, rough, first=1)
+        set_uniforms(judge, count=self._looks.count)
+        self._device.dispatch_items(judge, self._looks.count)
         self._pixels.bind_receivers(smooth)
         bind_buffers(rough, self._pixels.guide)
         set_uniforms(smooth, size=size)
@@ -183,8 +199,10 @@ class Tiles:
     def hits(self) -> NDArray[np.uint32]:
         """Return (h, w, directions) 1 + the cell whose front each direction meets, or 0; row 0 is the lowest."""
         w, h = self._around.size
-        met = np.frombuffer(self._hits.read(), dtype=np.uint32).reshape(h, w, -1, 2)[..., 0]
-        return np.where(met % 2 == 1, met // 2 + 1, 0).astype(np.uint32)
+        found = np.frombuffer(self._looks.hits.read(), dtype=np.uint32).reshape(h * w, -1, 2)[..., 0]
+        met = np.empty_like(found)
+        met[self._order] = found
+        return np.where(met % 2 == 1, met // 2 + 1, 0).astype(np.uint32).reshape(h, w, -1)
 
     def run(self, radiance: moderngl.TextureArray) -> None:
         """Add what every sample reflects of the glow that its pixel's directions meet."""
@@ -192,11 +210,16 @@ class Tiles:
         cell_glow.run(self.lit_cells.cell_light)
         if cell_glow.glow == 0.0:
             return
-        shader = self._program("tile_light", "DIRECTIONS", "LAYERS")
-        self._hits.bind_to_storage_buffer(0)
-        cell_glow.radiances.bind_to_storage_buffer(1)
-        self._pixels.light.bind_to_image(0, read=False, write=True)
-        self._device.dispatch(shader, self._around.size)
+        self._pixels.light.bind_to_image(0, read=True, write=True)
+        directions = 0
+        for looks in filter(None, (self._looks, self._more)):
+            if not looks.count:
+                continue
+            shader = self._program("tile_light", "DIRECTIONS", "LAYERS", looks=looks)
+            bind_buffers(looks.hits, cell_glow.radiances, looks.pixels)
+            directions += looks.directions
+            set_uniforms(shader, count=looks.count, share=looks.directions / directions)
+            self._device.dispatch_items(shader, looks.count)
         self._share(radiance, cell_glow.glow)
 
     def reflect(self, light: NDArray[np.float32], radiance: moderngl.TextureArray) -> None:

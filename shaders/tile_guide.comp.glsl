@@ -1,20 +1,21 @@
 #version 430
 // What a pixel would receive if all that may send light sent alike, and the variance of that mean: it knows where a shadow
 // may end, and since it depends on geometry alone, the filter that it guides stays linear in the light.
-layout(local_size_x = 8, local_size_y = 8) in;
+layout(local_size_x = 64) in;
+#include "items.glsl"
 #include "cells.glsl"
 
 layout(std430, binding = 1) readonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
-layout(std430, binding = 2) writeonly buffer Guide { vec2 guide[]; };
-uniform ivec2 size;
+layout(std430, binding = 2) readonly buffer Pixels { uint pixels[]; };
+layout(std430, binding = 3) writeonly buffer Guide { vec2 guide[]; };
+uniform int count; // of the pixels
 
 void main() {
-    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
-    if (any(greaterThanEqual(pixel, size))) return;
-    int at = pixel.y * size.x + pixel.x;
+    int item = int(item_number());
+    if (item >= count) return;
     float sum = 0.0, squares = 0.0;
     for (int k = 0; k < DIRECTIONS; ++k) {
-        uvec2 hit = hits[at * DIRECTIONS + k];
+        uvec2 hit = hits[item * DIRECTIONS + k];
         if ((hit.x & 1u) == 0u) continue;
         float light = uintBitsToFloat(hit.y) * float(glows(hit.x / 2u));
         sum += light;
@@ -23,5 +24,5 @@ void main() {
     float mean = sum / float(DIRECTIONS);
     // One direction tells nothing of its noise: as large as the mean.
     float variance = max(squares / float(DIRECTIONS) - mean * mean, 0.0) / max(float(DIRECTIONS) - 1.0, 1.0);
-    guide[at] = vec2(mean, DIRECTIONS > 1 ? variance : mean * mean);
+    guide[pixels[item]] = vec2(mean, DIRECTIONS > 1 ? variance : mean * mean);
 }

@@ -4,7 +4,8 @@
 // The first AIMLESS directions crowd as the cosine; the others aim at points of cells that glow, and count where they meet
 // the cell that they were aimed at. Both find the points that are seen from the pixel, and are one sample by the balance
 // heuristic (Veach and Guibas 1995): either density follows from the point that was met.
-layout(local_size_x = 256) in;
+layout(local_size_x = 64) in;
+#include "items.glsl"
 #include "receivers.glsl"
 #include "choice.glsl"
 #include "cell_walk.glsl"
@@ -15,12 +16,15 @@ layout(std430, binding = 2) readonly buffer Ends { uint ends[]; }; // where each
 layout(std430, binding = 3) readonly buffer Aims { Aim aims[]; };
 layout(std430, binding = 4) readonly buffer Corners { vec4 corners[]; }; // three a cell
 layout(std430, binding = 5) readonly buffer Points { vec2 points[]; }; // of the unit square; DIRECTIONS a place
-layout(std430, binding = 6) writeonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
-layout(std430, binding = 7) buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless
+layout(std430, binding = 6) readonly buffer Pixels { uint pixels[]; }; // in rows; those of a tile follow each other
+layout(std430, binding = 7) writeonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
+layout(std430, binding = 8) buffer Nearness { float nearness[]; }; // sum of 1 / distance met, of the aimless
 
 uniform ivec2 tiles;
+uniform int count; // of the pixels
 uniform int first; // of the BATCH directions of this run
 uniform bool all_send; // not only what glows
+uniform bool is_first; // whether what is near is not known yet
 
 const uint NONE = ~0u;
 const float INV_PI = 0.318309886;
@@ -47,27 +51,23 @@ vec3 aim(vec3 o, vec2 u, uint begin, uint end, float total, out uint cell) {
 }
 
 void main() {
-    // A tile's two groups follow each other: of llvmpipe's threads each takes one stretch of all, and second groups are few.
-    ivec2 tile = ivec2(gl_WorkGroupID.x / 2u, gl_WorkGroupID.y);
-    bool is_second = gl_WorkGroupID.x % 2u == 1u;
-    int at = 2 * (tile.y * tiles.x + tile.x) + int(is_second);
-    Group group = groups[at];
-    if (group.count == 0.0) return;
-    // Pixels of one place in the pattern follow each other: what looks the same way takes the same walk.
-    const int ROW = TILE / PATTERN;
-    int place = int(gl_LocalInvocationID.x) / (ROW * ROW), repeat = int(gl_LocalInvocationID.x) % (ROW * ROW);
-    ivec2 within = ivec2(place % PATTERN, place / PATTERN) + PATTERN * ivec2(repeat % ROW, repeat / ROW);
-    ivec2 pixel = TILE * tile + within, size = picture_size();
+    int item = int(item_number());
+    if (item >= count) return;
+    ivec2 size = picture_size();
+    int at_pixel = int(pixels[item]);
+    ivec2 pixel = ivec2(at_pixel % size.x, at_pixel / size.x), tile = pixel / TILE;
     Ray ray;
-    if (any(greaterThanEqual(pixel, size)) || !find_receiver(pixel, ray.o, ray.n)) return;
-    if (group.axis >= 0.0 && (ray.o[int(group.axis)] > group.divide) != is_second) return;
+    if (!find_receiver(pixel, ray.o, ray.n)) return;
+    int at = 2 * (tile.y * tiles.x + tile.x);
+    Group group = groups[at];
+    if (group.axis >= 0.0 && ray.o[int(group.axis)] > group.divide) group = groups[++at];
 
     uint begin = ends[at], end = ends[at + 1];
     float total = end > begin ? aims[end - 1u].sum : 0.0;
     float share = total > 0.0 ? SHARE : 1.0; // of the directions that are aimless
     vec3 x, y;
     find_basis(ray.n, x, y);
-    int at_pixel = pixel.y * size.x + pixel.x;
+    int place = (pixel.y % PATTERN) * PATTERN + pixel.x % PATTERN;
     float near = first == 0 ? 1e-30 : nearness[at_pixel];
     for (int k = first; k < min(first + BATCH, DIRECTIONS); ++k) {
         vec2 u = points[place * DIRECTIONS + k];
@@ -89,8 +89,8 @@ void main() {
         bool counts = meets && mixed > 0.0 && (aimed == NONE || aimed == part.cell);
         while ((at_glow || all_send) && part.count > 1u) part = half_at(part, p);
         uint hit = counts ? 1u + 2u * part.cell + (met.slope < 0.0 ? 0u : 1u) : 0u;
-        hits[at_pixel * DIRECTIONS + k] = uvec2(hit, floatBitsToUint(counts ? facing / mixed : 0.0));
+        hits[item * DIRECTIONS + k] = uvec2(hit, floatBitsToUint(counts ? facing / mixed : 0.0));
         if (k < max(AIMLESS, 1)) near += 1.0 / met.away;
     }
-    nearness[at_pixel] = near;
+    if (is_first) nearness[at_pixel] = near;
 }

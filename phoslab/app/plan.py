@@ -25,7 +25,7 @@ EXAMPLE = "phoslab plan cornell --max-error 5% --at off+1s -o plan.json"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("scene", metavar="SCENE", type=sample_scenes.scene_path, help=sample_scenes.HELP)
+    parser.add_argument("scene", metavar="SCENE", type=Path, help=sample_scenes.HELP)
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--max-error", metavar="BOUND", help="how wrong a picture may be: 2%%, 1dE or 0.05flip")
     what.add_argument(
@@ -47,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.out is not None:
         check_writable(args.out)
+    scene = sample_scenes.find_scene(args.scene)
     wrong = None
     if args.plan is not None:
         if args.at is not None or args.size is not None:
@@ -54,9 +55,9 @@ def run(args: argparse.Namespace) -> int:
                 "stands in the plan already", field="--at or --size", remedy="Leave it out, or plan anew."
             )
         with found_in(args.plan):
-            plan, wrong = check_plan(args.scene, read_plan(args.plan), trade=args.trade)
+            plan, wrong = check_plan(scene, read_plan(args.plan), trade=args.trade)
     else:
-        plan = make_plan(args.scene, args.max_error, _times(args.at), size=_size(args.size), trade=args.trade)
+        plan = make_plan(scene, args.max_error, _times(args.at), size=_size(args.size), trade=args.trade)
     if args.out is not None:
         plan.save(args.out)
     if args.json:

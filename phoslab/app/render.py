@@ -55,7 +55,7 @@ T = TypeVar("T")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("scene", metavar="SCENE", type=sample_scenes.scene_path, help=sample_scenes.HELP)
+    parser.add_argument("scene", metavar="SCENE", type=Path, help=sample_scenes.HELP)
     parser.add_argument(
         "-o", "--out", metavar="OUT", type=_picture, required=True, help="a .png, .exr or .mp4 to write"
     )
@@ -208,6 +208,7 @@ def run(args: argparse.Namespace) -> int:
     _check_film(args)
     if args.scene.name.lower().endswith(BASIS):
         return _say(args, *_from_basis(args))
+    args.scene = sample_scenes.find_scene(args.scene)
     scene = load_scene(args.scene)
     if args.max_error is not None or args.plan is not None:
         return _say(args, *_by_plan(args, scene))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from phoslab.app import sample_scenes
+from phoslab.app.sample_scenes import find_scene
 from phoslab.errors import PhoslabError
 
 HELP = "measure speed against accuracy on this machine"
@@ -22,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scene",
         action="append",
-        type=sample_scenes.scene_path,
+        type=Path,
         metavar="SCENE",
         help="model: a scene to measure on (may be repeated)",
     )
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     from phoslab.app.progress import progress_bar
 
     trade = importlib.import_module(f"phoslab.app.trades.{args.trade}")
-    of_scenes = {"scenes": args.scene} if args.scene else {}
+    of_scenes = {"scenes": [find_scene(s) for s in args.scene]} if args.scene else {}
     if of_scenes and args.trade != "model":
         raise PhoslabError(
             f"has no meaning for {args.trade!r}", field="--scene", remedy="Leave it out, or measure `model`."
