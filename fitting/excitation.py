@@ -29,6 +29,8 @@ _FLOOR = 0.003
 _CHANCE = 1e-3
 # A Gaussian estimate of 0 lies above this many standard errors in 5 % of cases: the limit of detection.
 _ONE_SIDED = 1.645
+# A value above this many standard deviations of its noise can be compared with the model by itself.
+_CLEAR = 5.0
 # Places whose glow ends above this share of the brightest one's tell how fast the glow rises.
 _BRIGHT = 0.1
 
@@ -45,6 +47,7 @@ class ExcitationFit:
         ke_upper_limit: (n_c, n_bands) for a `ke` of 0 what it stays below with 95 %, given Λ; else NaN.
         a_per_s: (n_c,) excitation under the whole lamp, light outside the bands included.
         initial: (n_c,) r(0) of the decay: how full each state was when the lamp went off.
+        initial_error: (n_c,) standard error of log r(0).
         gain_error: (n_c,) standard error of log G, which is that of log Λ.
         scale_error: (n_c,) standard error of log a: how well saturation, and with it ke and Λ apart, are known.
         shape_error: (n_c, n_bands) relative standard error of ke_ij / a_i; what saturation leaves open cancels.
@@ -60,6 +63,7 @@ class ExcitationFit:
         level_error: (n_places,) model / measured - 1 after the longest exposure; NaN where there is too little glow.
         rise_s: (n_places, 2) light after which the glow is at half its end, measured and modelled; NaN likewise.
         covariance: of (log kr, log A, and the rates' parameters).
+        data: what was fitted.
     """
 
     bands: Bands
@@ -70,6 +74,7 @@ class ExcitationFit:
     ke_upper_limit: Array
     a_per_s: Array
     initial: Array
+    initial_error: Array
     gain_error: Array
     scale_error: Array
     shape_error: Array
@@ -85,11 +90,38 @@ class ExcitationFit:
     level_error: Array
     rise_s: Array
     covariance: Array = field(repr=False)
+    data: ExcitationData = field(repr=False)
 
     @property
     def n_states(self) -> int:
         """Number of states, n_c."""
         return self.kr_per_s.size
+
+    @property
+    def bright(self) -> NDArray[np.bool_]:
+        """(n_places,) the places that glow enough to be told of."""
+        return np.isfinite(self.level_error)
+
+    @property
+    def rise_unseen(self) -> bool:
+        """Whether most bright places were past half of their end after the shortest light already."""
+        return bool(np.isnan(self.rise_s[self.bright, 0]).mean() > 0.5) if self.bright.any() else False
+
+    def farthest_off(self) -> tuple[float, float]:
+        """Return the length of light [s] after which the model is farthest off, and modelled over measured glow then.
+
+        The median of the bright places, wherever half of them stand clear of their noise; (NaN, 1) if nowhere.
+        """
+        lit_s, ratio = float("nan"), 1.0
+        for t, signal, sigma, model in zip(
+            self.data.steps.lit_s, self.data.signal, self.data.sigma, self.model, strict=True
+        ):
+            clear = self.bright & (signal > _CLEAR * sigma)
+            if clear.sum() > self.bright.sum() / 2:
+                here = float(max(np.median(model[clear] / signal[clear]), 1e-9))
+                if abs(np.log(here)) > abs(np.log(ratio)):
+                    lit_s, ratio = float(t), here
+        return lit_s, ratio
 
     @property
     def product_only(self) -> NDArray[np.bool_]:
@@ -288,6 +320,7 @@ def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit
         ke_upper_limit=upper,
         a_per_s=a,
         initial=initial,
+        initial_error=_errors(initial_by, covariance),
         gain_error=_errors(gain_by, covariance),
         scale_error=_errors(log_a_by, covariance),
         shape_error=_errors(np.where(ke[:, :, None] > 0, shape_by, 0.0), covariance),
@@ -307,6 +340,7 @@ def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit
         ),
         rise_s=np.where(bright[:, None], rise, np.nan),
         covariance=covariance,
+        data=data,
     )
 
 

@@ -3,44 +3,91 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phoslab.fitting.excitation import ExcitationFit
+
+Array = NDArray[np.float64]
 
 # A rise that is off by more than this is said to be (the fit's own measure of a sample that follows the model).
 _RISE = 0.05
 _LEVEL = 0.02
+# A state that fills no further than this shows nothing of its saturation.
+_HARDLY_FULL = 0.05
 
 
 def doubts(fit: ExcitationFit) -> tuple[str, ...]:
     """Return one sentence for each thing that a user must know before using the rates."""
-    found = []
-    ratio = fit.rise_ratio
-    if fit.discrepancy:
-        text = (
-            f"The sample does not follow the model: beyond noise, it is off by {fit.discrepancy:.0%} of the way that "
-            "the glow still has to go. The decay's rates and amplitudes were kept, and the level after the longest "
-            "exposure counts most."
-        )
-        found.append(text)
-    if np.isfinite(ratio) and abs(ratio - 1) > _RISE:
-        faster = "faster" if ratio < 1 else "slower"
-        found.append(
-            f"The modelled glow rises {faster} than the measured one: it is at half its end after {ratio:.2f} of the "
-            "time (median of the bright places). What is rendered is off by that until the sample is charged."
-        )
+    found = [*_unseen(fit), *_charging(fit)]
     off = np.abs(fit.level_error)
     if np.isfinite(off).any() and np.nanmedian(off) > _LEVEL:
         found.append(
             f"After the longest exposure the modelled glow is off by {np.nanmedian(off):.1%} (median of the bright "
             f"places, worst {np.nanmax(off):.1%})."
         )
+    empty = fit.kr_per_s[fit.product_only & (fit.initial < _HARDLY_FULL)]
+    if empty.size:
+        found.append(
+            f"The fit leaves {_states(empty)} next to empty however long the lamp shone, and makes up for it by a Λ "
+            "as large: under more light than was recorded a render is far too bright. Fewer states, or a series with "
+            "longer exposures, may tell how full it becomes."
+        )
     loose = fit.kr_per_s[fit.product_only]
     if loose.size:
         found.append(
-            f"How full the states of {', '.join(f'{kr:.3g}' for kr in loose)} 1/s become is not known well enough to "
-            "tell ke from Λ: only their product is determined. If ke is larger by a factor, Λ is smaller by it."
+            f"How full {_states(loose)} become{'s' if loose.size == 1 else ''} is not known well enough to tell ke "
+            "(how fast light fills a state) from Λ (the light that a full state gives): only their product is known. "
+            "If ke is larger by a factor, Λ is smaller by it. Renders of what was recorded are as good as the fit; of "
+            "much stronger light they are a guess."
         )
     return tuple(found)
+
+
+def _states(kr_per_s: Array) -> str:
+    plural = "s" if kr_per_s.size > 1 else ""
+    return f"the state{plural} of {', '.join(f'{kr:.3g}' for kr in kr_per_s)} 1/s"
+
+
+def _unseen(fit: ExcitationFit) -> list[str]:
+    """Say that the series began too late to see the glow rise."""
+    if not fit.rise_unseen:
+        return []
+    return [
+        f"All exposures to the lamp ({fit.data.steps.lit_s.min():.3g} s and longer) were past half of the final glow: "
+        "how fast the sample charges was not recorded, and what the material says of it is a guess. Record the "
+        "excitation again from shorter exposures on (`phoslab measure excitation --first 1`)."
+    ]
+
+
+def _charging(fit: ExcitationFit) -> list[str]:
+    """Say how far the modelled glow is off while the sample is being charged."""
+    ratio = fit.rise_ratio
+    off = np.isfinite(ratio) and abs(ratio - 1) > _RISE
+    if not off and not fit.discrepancy:
+        return []
+    said = ["The sample does not follow the model"] if fit.discrepancy else []
+    if off:
+        faster = "faster" if ratio < 1 else "slower"
+        said.append(f"the modelled glow rises {faster} than the measured one")
+    text = ": ".join(said)
+    text = text[0].upper() + text[1:] + ("." if off else ", by more than noise.")
+    if off:
+        measured = float(np.nanmedian(fit.rise_s[:, 0]))
+        text += (
+            f" The material reaches half of its final glow after {measured * ratio:.2g} s of light, the sample after "
+            f"{measured:.2g} s."
+        )
+    lit_s, factor = fit.farthest_off()
+    if abs(factor - 1) > _RISE:
+        text += (
+            f" It is farthest off after {lit_s:.2g} s of light, where it is {factor:.2g} times as bright as the sample "
+            "(medians of the bright places): renders of as much light are off by as much."
+        )
+    if fit.discrepancy:
+        text += (
+            " The decay was kept as measured, and the level after the longest exposure was to be met first."
+        )
+    return [text]
 
 
 def report(fit: ExcitationFit) -> str:
@@ -55,7 +102,8 @@ def lines(fit: ExcitationFit) -> list[str]:
     shape = "one spectrum for all states" if fit.common_shape else "a spectrum of its own for each state"
     told = [
         f"[[excitation: {fit.n_states} state{'s' if fit.n_states > 1 else ''}, {shape}]]",
-        f"  chi-square / dof        {fit.chi2:.4g} / {fit.dof} = {fit.chi2 / max(fit.dof, 1):.3g}",
+        f"  chi-square / dof        {fit.chi2:.4g} / {fit.dof} = {fit.chi2 / max(fit.dof, 1):.3g}"
+        + (", the model's own misfit counted as noise" if fit.discrepancy else ""),
     ]
     if np.isfinite(fit.level_error).any():
         off = np.abs(fit.level_error)
@@ -65,17 +113,14 @@ def lines(fit: ExcitationFit) -> list[str]:
     if np.isfinite(fit.rise_ratio):
         measured = float(np.nanmedian(fit.rise_s[:, 0]))
         told.append(
-            f"  time to half of it      {measured:.3g} s measured, {fit.rise_ratio:.2f} of that modelled"
+            f"  time to half of it      {measured:.3g} s measured, {measured * fit.rise_ratio:.3g} s modelled"
         )
     for i in range(fit.n_states):
         loose = fit.product_only[i]
-        only, known = (
-            (", only Λ ke is determined", "not determined") if loose else ("", _share(fit.scale_error[i]))
-        )
         told += [
-            f"[[state {i}{only}]]",
-            f"  a under the lamp [1/s]  {fit.a_per_s[i]:.4g} ({known})",
-            f"  r when the lamp went off  {fit.initial[i]:.3f}",
+            f"[[state {i}{', only Λ ke is determined' if loose else ''}]]",
+            f"  a under the lamp [1/s]  {excitation_of(fit, i)}",
+            f"  r when the lamp went off  {initial_of(fit, i)}",
             f"  correlation of log a    {fit.correlation[i, 0]:+.2f} with log Λ, "
             f"{fit.correlation[i, 1]:+.2f} with log r(0)",
         ]
@@ -85,6 +130,20 @@ def lines(fit: ExcitationFit) -> list[str]:
         told.append("[[ke of every state: its a, times]]")
         told += [_shape(fit, j) for j in range(fit.bands.n)]
     return told
+
+
+def excitation_of(fit: ExcitationFit, i: int) -> str:
+    """How fast the whole lamp excites a state, in 1/s: as many digits as are known."""
+    if fit.product_only[i]:
+        return f"about {fit.a_per_s[i]:.2g} (not determined)"
+    return f"{fit.a_per_s[i]:.3g} ({_share(fit.scale_error[i])})"
+
+
+def initial_of(fit: ExcitationFit, i: int) -> str:
+    """How full a state was when the lamp went off, which is known as its excitation is."""
+    if fit.product_only[i]:
+        return f"about {fit.initial[i]:.2g} (not determined)"
+    return f"{fit.initial[i]:.3f} ± {fit.initial[i] * fit.initial_error[i]:.1g}"
 
 
 def _rate(fit: ExcitationFit, i: int, j: int) -> str:

@@ -57,12 +57,14 @@ class ExcitationSeries:
     Args:
         data, charge: see `fitting.excitation_model`.
         positions_nm: (n_places,) which wavelength passes there.
+        outlined: whether the filter's outline was found in a frame; if not, it is taken to lie where it was calibrated.
         warnings: one sentence each.
     """
 
     data: ExcitationData
     charge: Charge
     positions_nm: Array
+    outlined: bool
     warnings: tuple[str, ...]
 
 
@@ -95,12 +97,7 @@ def reduce_excitation(
         )
     frames = _lit_frames(session)
     warnings = list(_doubts(session, fit, calibration))
-    strip, found = follow_strip(preview(max(frames, key=_light_then(session)).path), calibration.strip)
-    if not found:
-        warnings.append(
-            f"{session.path.name}: too little of the filter glows to find its edges; it is taken to lie where it was "
-            "calibrated."
-        )
+    strip, outlined = follow_strip(preview(max(frames, key=_light_then(session)).path), calibration.strip)
     there = np.isfinite(calibration.reading()).all(axis=1) & np.isfinite(calibration.curves.curve).all(axis=1)
     weights = calibration.reading()[there]
     glow = _Places.read(session, frames, strip, weights, camera, scattered=True, progress=progress)
@@ -146,7 +143,7 @@ def reduce_excitation(
         course,
     )
     charge = Charge.from_decay(fit, charged, shapes.light(NM, lamp.irradiance))
-    return ExcitationSeries(data, charge, POSITIONS_NM[there], tuple(warnings))
+    return ExcitationSeries(data, charge, POSITIONS_NM[there], outlined, tuple(warnings))
 
 
 def fade_s(session: Session) -> float:

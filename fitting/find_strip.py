@@ -6,6 +6,7 @@ from the frame's middle, and what a hand has moved between two sessions is found
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -115,6 +116,15 @@ def follow_strip(preview: Preview, known: Strip) -> tuple[Strip, bool]:
             remedy="Calibrate anew: wavelengths belong to places in the frame, so camera and filter must stay.",
         )
     return replace(found, slant=known.slant, ends_px=known.ends_px), True
+
+
+def outline_unseen(sessions: Sequence[str]) -> str:
+    """Say that the strip's outline was not found in these sessions' frames, as `follow_strip` tells."""
+    return (
+        f"Too little of the linear variable filter (the strip of glass before the camera) is bright in "
+        f"{' and '.join(sessions)} to find its outline: it is taken to lie where it was calibrated, which holds as "
+        "long as neither it nor the camera has been moved."
+    )
 
 
 def _large(bright: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -35,7 +35,7 @@ class HoldOut:
 def hold_out(data: DecayData, states: Sequence[int] = (1, 2, 3)) -> list[HoldOut]:
     """Fit each number of states to every second frame and predict the others. Empty if there are too few frames."""
     seen, unseen = data.take(slice(0, None, 2)), data.take(slice(1, None, 2))
-    if seen.n_values <= 2 + data.signal.shape[1] or not unseen.n_values:
+    if seen.n_values <= 2 * min(states) + data.signal.shape[1] or not unseen.n_values:
         return []
     selection = select(seen, states=states, offsets=[False], rank_one=True)
     return [_misprediction(c.fit, unseen, automatic=c is selection.chosen) for c in selection.candidates]

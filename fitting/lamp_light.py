@@ -47,15 +47,16 @@ class LampLight:
 
     @property
     def said(self) -> str:
-        """How the ends came about, in one sentence."""
+        """How the ends came about, and what rests on them."""
+        rests = "ke rests on that there, and its ± does not hold how well it holds."
         if self.temperature_K is None:
             return (
                 f"The lamp follows no thermal radiator (off by {self.misfit:.0%}); below {_SURE_NM[0]:g} and above "
-                f"{_SURE_NM[1]:g} nm, where the camera hardly sees, it is taken to go on as at the ends."
+                f"{_SURE_NM[1]:g} nm, where the camera hardly sees, it is taken to go on as at the ends; {rests}"
             )
         return (
             f"Below {_SURE_NM[0]:g} and above {_SURE_NM[1]:g} nm, where the camera hardly sees, the lamp goes on as a "
-            f"thermal radiator of {self.temperature_K:.0f} K, which it follows between to {self.misfit:.1%}."
+            f"thermal radiator of {self.temperature_K:.0f} K, which it follows between to {self.misfit:.1%}; {rests}"
         )
 
 

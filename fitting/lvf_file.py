@@ -111,16 +111,23 @@ def load(path: Path) -> tuple[Calibration, str]:
     """Read a calibration; also the file's SHA-256, by which results name it.
 
     Raises:
-        PhoslabError: the file is missing, of another version, or does not fit the schema.
+        PhoslabError: the file is missing, no calibration, of another version, or does not fit the schema.
     """
-    remedy = "Write it with `phoslab calibrate SESSION... -o lvf.json`."
+    remedy = "Name the file that `phoslab calibrate SESSION... -o lvf.json` wrote."
     try:
         text = read_regular(path, _LARGEST_BYTES, remedy=remedy).decode("utf-8")
     except UnicodeDecodeError as error:
         raise PhoslabError("is not UTF-8 text", file=path, remedy=remedy) from error
-    data = schemas.read_json(text, file=path)
-    if not isinstance(data, dict):
-        raise PhoslabError("is not a JSON object", file=path, remedy=remedy)
+    try:
+        data = schemas.read_json(text, file=path)
+    except PhoslabError as error:
+        raise PhoslabError(
+            f"is no calibration of the filter: it {error.problem}", file=path, remedy=remedy
+        ) from error
+    kind = data.get("schema") if isinstance(data, dict) else None
+    if not isinstance(kind, str) or not kind.startswith(SCHEMA.partition("/")[0]):
+        what = "is a material" if str(kind).startswith("phoslab-material") else f"has the schema {kind!r}"
+        raise PhoslabError(f"{what}, and is no calibration of the filter", file=path, remedy=remedy)
     journal.check_version(data.get("schema"), SCHEMA, path, "schema")
     schemas.check(data, "lvf-1", file=path)
     try:

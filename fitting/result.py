@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.fitting import excitation_report
-from phoslab.fitting.decay import DecayFit
+from phoslab.fitting.decay import MOST_STATES, DecayFit, misfit
 from phoslab.fitting.excitation import ExcitationFit
 from phoslab.fitting.excitation_series import ExcitationSeries
 from phoslab.fitting.holdout import NOISE_ALLOWANCE, HoldOut
@@ -51,7 +51,8 @@ class FitResult:
         held_out: how each number of states predicts frames that it has not seen.
         assumed: what was not measured but taken from elsewhere, in one sentence.
         missing: what would have to be measured for a whole material, and how; one sentence each.
-        warnings: one sentence each.
+        warnings: what spoils the material, the worst first; one sentence each.
+        notes: what is as usual and yet good to know, likewise.
         spectrum: of the glow, if it was measured.
         excitation: the excitation rates, if they were measured.
     """
@@ -65,6 +66,7 @@ class FitResult:
     assumed: str
     missing: tuple[str, ...]
     warnings: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     spectrum: Spectrum | None = None
     excitation: MeasuredExcitation | None = None
 
@@ -72,6 +74,23 @@ class FitResult:
     def uncertainty(self) -> Mapping[str, Any]:
         """Standard errors by field of the material."""
         return self.material.standard_error or {}
+
+    @property
+    def misses(self) -> bool:
+        """Whether the decay's fit misses the data by more than chance: then there is no true rate to bracket."""
+        return misfit(self.fit.chi2, self.fit.dof) > 1
+
+    @property
+    def why_states(self) -> str:
+        """Why the decay has so many states, in a sentence."""
+        n, tried = self.fit.n_states, [c.n_states for c in self.selection.candidates]
+        if self.material.provenance["settings"]["states"] != "auto":
+            return f"{n}, as was asked for (--states {n}); no other number was tried."
+        chance = "chance would, 1 time in 200 (F-test)"
+        if n < max(tried):
+            return f"Of 1 to {max(tried)} the smallest number that no larger one beats by more than {chance}."
+        more = f" More are tried only if asked for (--states {n + 1})." if n < MOST_STATES else ""
+        return f"Of 1 to {n} the largest number: it beats the smaller ones by more than {chance}.{more}"
 
     def report(self) -> str:
         """Return the fit as text: what was assumed, parameters with errors, candidates, warnings."""
@@ -81,26 +100,31 @@ class FitResult:
             *(f"Missing: {text}" for text in self.missing),
             "",
             f"[[{self.material.name}: decay, {fit.n_states} exponential{'s' if fit.n_states > 1 else ''}]]",
-            f"  frames                  {data.t_s.size}, {data.t_s[0]:.3g} s to {data.t_s[-1]:.4g} s after lamp-off",
+            f"  frames                  {data.t_s.size}, from {data.t_s[0]:.3g} s to {data.end_s:.4g} s after lamp-off",
             f"  values used             {data.n_values} of {data.sigma.size}",
             f"  chi-square / dof        {fit.chi2:.4g} / {fit.dof} = {fit.chi2 / fit.dof:.3g}",
             "[[parameters]]",
         ]
         for i in range(fit.n_states):
             lines.append(
-                f"  kr[{i}] [1/s]           {_with_error(fit.kr_per_s[i], fit.kr_standard_error[i])}"
+                f"  kr[{i}] [1/s]           {_with_share(fit.kr_per_s[i], fit.kr_standard_error[i])}"
                 f", 95 % in {self.interval95[i, 0]:.4g} .. {self.interval95[i, 1]:.4g}"
                 f"   (lifetime {1 / fit.kr_per_s[i]:.4g} s)"
             )
         for i in range(fit.n_states):
             lines.append(
-                f"  A[{i}] [signal]         {_with_error(fit.strength[i], fit.strength_standard_error[i])}"
+                f"  A[{i}] [signal]         {_with_share(fit.strength[i], fit.strength_standard_error[i])}"
             )
         lines.append(
             "  colour                  "
             + ", ".join(f"{c} {v:.4f}" for c, v in zip(data.channels, fit.colour, strict=True))
         )
+        if self.misses:
+            lines.append(
+                "  (no bounds of true rates, since the model misses the data: of the nearest curve's)"
+            )
         lines.append("[[number of states]]")
+        lines.append(f"  {self.why_states}")
         held = {h.n_states: h for h in self.held_out}
         for c in self.selection.candidates:
             chosen = "  <- chosen" if c is self.selection.chosen else ""
@@ -115,7 +139,8 @@ class FitResult:
             )
         if self.held_out:
             lines.append(
-                f"  (fitted to every second frame; {NOISE_ALLOWANCE:g} standard deviations of noise are taken off)"
+                "  (held out: fitted to every second frame, compared with the others; "
+                f"{NOISE_ALLOWANCE:g} standard deviations of noise are taken off)"
             )
         if self.spectrum is not None:
             lines += self._spectrum_lines()
@@ -125,6 +150,9 @@ class FitResult:
         if self.warnings:
             lines.append("[[warnings]]")
             lines += [f"  {w}" for w in self.warnings]
+        if self.notes:
+            lines.append("[[notes]]")
+            lines += [f"  {n}" for n in self.notes]
         return "\n".join(lines) + "\n"
 
     def _spectrum_lines(self) -> list[str]:
@@ -141,9 +169,16 @@ class FitResult:
         return lines
 
 
-def _with_error(value: float, error: float) -> str:
-    """Write `0.1320 ± 0.0011 (0.8 %)`, to two digits of the error."""
-    if not np.isfinite(error) or error <= 0 or value <= 0:
-        return f"{value:.6g} (not determined)"
-    digits = max(2, int(np.ceil(np.log10(value / error))) + 2)
-    return f"{value:.{digits}g} ± {error:.2g} ({error / value:.2g} relative)"
+def with_error(value: float, error: float) -> str:
+    """Write `0.1320 ± 0.0011` or `37920 ± 750`: to two digits of the error."""
+    if not 0 < error < np.inf:
+        return f"{value:.2g} (not determined)"
+    decimals = 1 - int(np.floor(np.log10(error)))
+    shown = max(0, decimals)
+    return f"{round(value, decimals):.{shown}f} ± {round(error, decimals):.{shown}f}"
+
+
+def _with_share(value: float, error: float) -> str:
+    """Write `0.1320 ± 0.0011 (0.8%)`."""
+    share = f" ({error / value:.1%})" if 0 < error < np.inf and value > 0 else ""
+    return with_error(value, error) + share

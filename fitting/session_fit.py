@@ -24,6 +24,7 @@ from phoslab.fitting.decay import MOST_STATES, DecayFit, fit_decay
 from phoslab.fitting.emission import match_colour, re_radiation, smoothest
 from phoslab.fitting.excitation import fit_excitation
 from phoslab.fitting.excitation_series import charged_s, reduce_excitation
+from phoslab.fitting.find_strip import outline_unseen
 from phoslab.fitting.gather import Gathered, gather
 from phoslab.fitting.holdout import hold_out
 from phoslab.fitting.intervals import rate_intervals
@@ -53,8 +54,8 @@ OWN_BANDS = 24
 """Of a material with a spectrum of its own: half as wide as what the strip passes. As many as the paper has, 8, would
 miss the camera's colours of the bench's paints by 2 to 9 %, these by 1 to 3 %."""
 
-# What a session of some minutes is fitted with unless more is asked for.
-_AUTOMATIC = (1, 2, 3)
+AUTOMATIC = (1, 2, 3)
+"""What a session of some minutes is fitted with unless more is asked for."""
 
 
 def fit_session(
@@ -97,12 +98,8 @@ def fit_session(
     sensitivities = _sensitivities(session, calibration)
     reduced = reduce_decay(session, progress, camera)
     unseen = _no_decay(reduced, session)
-    selection = select(
-        reduced.data,
-        states=_AUTOMATIC if states == "auto" else [int(states)],
-        offsets=[False],
-        rank_one=True,
-    )
+    tried = AUTOMATIC if states == "auto" else (int(states),)
+    selection = select(reduced.data, states=tried, offsets=[False], rank_one=True)
     chosen = selection.chosen
     fit = fit_decay(reduced.data, chosen.n_states, near=[chosen.fit.theta[: chosen.n_states]])
     bands = Bands.uniform(OWN_BANDS) if lender is None else lender.bands
@@ -125,10 +122,15 @@ def fit_session(
     per_state = emission.sum(axis=1) / shape.sum()
     emission_error = np.hypot(emission_error, per_state[:, None] * shape_error)
 
-    warnings = [*told.warnings, *job.warnings, *reduced.warnings, *unseen]
-    warnings += _doubts(fit, mismatch, "measured" if spectrum is not None else preset)
+    # What spoils the material most stands first: wrong sessions, then a model that misses, then the frames.
+    warnings = [
+        *told.warnings,
+        *unseen,
+        *_doubts(fit, mismatch, "measured" if spectrum is not None else preset),
+    ]
     if measured is not None:
         warnings += excitation_report.doubts(measured.fit)
+    warnings += [*reduced.warnings, *job.warnings]
     assumed = _assumed(measured, spectrum, preset, session)
     known = {"kr_per_s": kr_error, "emission": emission_error, "ke_m2_per_J": rates.error}
     camera_name = sensitivities.name
@@ -144,7 +146,7 @@ def fit_session(
         standard_error={k: v.tolist() for k, v in known.items() if v is not None and np.isfinite(v).all()}
         or None,
         covariance=_covariance(fit, reduced.data.channels),
-        valid_s=(0.0, reduced.data.end_s),
+        valid_s=(max(0.0, float(reduced.data.t_s.min())), reduced.data.end_s),
         provenance={
             "sessions": [
                 {"name": s.path.resolve().name, "plan": s.header.plan, "sha256": s.digest} for s in job.used
@@ -164,10 +166,11 @@ def fit_session(
         selection=selection,
         interval95=rate_intervals(fit),
         reduced=reduced,
-        held_out=tuple(hold_out(reduced.data)),
+        held_out=tuple(hold_out(reduced.data, tried)),
         assumed=assumed,
         missing=tuple(job.missing),
         warnings=tuple(dict.fromkeys(warnings)),
+        notes=job.notes(),
         spectrum=spectrum,
         excitation=measured,
     )
@@ -189,6 +192,13 @@ class _Job:
         self.used = [decay]
         self.missing: list[str] = []
         self.warnings: list[str] = []
+        self._hidden: list[str] = []
+        self._not_outlined: list[str] = []
+
+    def notes(self) -> tuple[str, ...]:
+        """What is as usual and yet good to know, one sentence each; never the same twice."""
+        unseen = [outline_unseen(self._not_outlined)] if self._not_outlined else []
+        return (*dict.fromkeys(self._hidden), *unseen)
 
     def calibration(
         self, lvf: str | os.PathLike[str] | None
@@ -260,6 +270,8 @@ class _Job:
             return None
         self.used.append(session)
         self.warnings += [f"Spectrum of the {spectra_of}: {text}" for text in found.warnings]
+        self._hidden += [found.hidden] if found.hidden else []
+        self._not_outlined += [] if found.outlined else [found.session[0]]
         return found
 
     def excitation(
@@ -301,6 +313,7 @@ class _Job:
             return None
         self.used.append(session)
         self.warnings += series.warnings
+        self._not_outlined += [] if series.outlined else [session.path.name]
         return MeasuredExcitation(found, series, lamp)
 
     def _lack(self, what: str, why: str) -> None:
@@ -462,11 +475,15 @@ def _doubts(fit: DecayFit, mismatch: float, spectrum_of: str | None) -> list[str
             f"{fit.n_states} states were asked for, but the data do not tell them apart: "
             "one has no amplitude, or two have the same rate."
         )
-    if fit.chi2 > _MISFIT * fit.dof:
+    if _misses(fit):
+        t_s, share = fit.farthest_off()
         doubts.append(
-            f"The model misses the data by more than their noise (chi-square / dof {fit.chi2 / fit.dof:.1f}): this "
-            f"decay is not a sum of so few exponentials. The standard errors are widened by the root of that."
+            f"The fitted decay misses the measured one by up to {share:.1%}, after {t_s:.3g} s, which is more than "
+            f"noise (chi-square / dof {fit.chi2 / fit.dof:.3g}; 1 is right): it is not a sum of so few exponentials. "
+            "Rates and their errors, which are widened by the root of that, tell of the curve that comes nearest."
         )
+        if fit.n_states < MOST_STATES:
+            doubts[-1] += f" `--states {fit.n_states + 1}` shows what one more makes of it."
     if fit.dof < _FEW_DOF:
         doubts.append(
             f"{fit.dof + fit.n_parameters} values for {fit.n_parameters} parameters are few: the errors "
@@ -485,6 +502,11 @@ def _doubts(fit: DecayFit, mismatch: float, spectrum_of: str | None) -> list[str
             "spectrum."
         )
     return doubts
+
+
+def _misses(fit: DecayFit) -> bool:
+    """Whether a fit misses the data by clearly more than their noise."""
+    return fit.chi2 > _MISFIT * fit.dof
 
 
 def _covariance(fit: DecayFit, channels: Sequence[str]) -> dict[str, Any] | None:

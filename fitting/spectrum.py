@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.fitting.card import Shading
-from phoslab.fitting.find_strip import follow_strip
+from phoslab.fitting.find_strip import follow_strip, outline_unseen
 from phoslab.fitting.lvf import Calibration, shading
 from phoslab.fitting.strip_equations import NM, SHIFT_PX, StripEquations
 from phoslab.fitting.strip_light import StripLight, read_light
@@ -34,6 +34,9 @@ _STRETCH_NM = 50.0
 
 _ADAPTED = 2
 """How often bends and the curves' share of the noise are taken from the spectrum before."""
+
+MISSES = 1.5
+"""Misfit per degree of freedom that is no chance any more, of the strip's 31 positions in three colours."""
 
 _SEEN = 0.02
 """Share of the best-seen wavelength's weight below which a wavelength is hardly seen."""
@@ -55,7 +58,9 @@ class Spectrum:
         measured: (n_k, 3) the signals at the positions, and what the spectrum predicts (n_k, 3).
         plan, session: what it was measured from; and the session's SHA-256.
         simulated: the statement of a simulated session, or None.
-        warnings: one sentence each.
+        outlined: whether the strip's outline was found in a frame; if not, it is taken to lie where it was calibrated.
+        warnings: what spoils the spectrum, one sentence each.
+        hidden: the ends of the spectrum at which the camera hardly sees, in a sentence; "" if it sees all.
     """
 
     nm: Array
@@ -71,7 +76,15 @@ class Spectrum:
     plan: str = ""
     session: tuple[str, str] = ("", "")
     simulated: str | None = None
+    outlined: bool = True
     warnings: tuple[str, ...] = ()
+    hidden: str = ""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is as usual and yet good to know, one sentence each."""
+        unseen = () if self.outlined else (outline_unseen([self.session[0]]),)
+        return (*unseen, *([self.hidden] if self.hidden else []))
 
     def band_means(self, bands: Bands) -> tuple[Array, Array]:
         """(n_λ,) means over bands, and their standard errors."""
@@ -141,12 +154,7 @@ def measure_spectrum(
             file=path,
             remedy="Record the session anew; this one holds nothing to measure.",
         )
-    strip, found = follow_strip(preview(frames[0].path), calibration.strip)
-    if not found:
-        warnings.append(
-            f"{frames[0].path}: too little of the strip is lit to find its edges; they are taken to be "
-            f"where they were calibrated."
-        )
+    strip, outlined = follow_strip(preview(frames[0].path), calibration.strip)
     lights, said = read_light(session, frames, strip, calibration.settings, progress=progress)
     warnings += said
     if not lights:
@@ -176,6 +184,12 @@ def measure_spectrum(
             f"noise explains): "
             "the strip, the camera or the scattered light is not what it was at the calibration."
         )
+    elif result.scaled_misfit > MISSES:
+        warnings.append(
+            f"The spectrum misses what the camera saw by more than noise and calibration explain "
+            f"({result.scaled_misfit:.1f} times in the mean square; 1 is right). Its errors are widened by the root of "
+            "that; what it comes from is not known, so they are a guide and no bounds."
+        )
     if abs(result.shift_px) > 2 * SHIFT_PX:
         warnings.append(
             f"The strip seems to have moved by {result.shift_px:.1f} pixels along itself since the calibration."
@@ -183,15 +197,16 @@ def measure_spectrum(
     if result.at_end:
         warnings.append("The data do not say how smooth the spectrum is; the smoothest is taken.")
     hidden = _hidden(calibration)
-    if hidden:
-        warnings.append(f"The camera hardly sees {hidden}: values there are little more than a continuation.")
     return Spectrum(
         **{
             **vars(result),
             "plan": plan,
             "session": (session.path.resolve().name, session.digest),
             "simulated": (session.header.simulated or {}).get("statement"),
+            "outlined": outlined,
             "warnings": tuple(dict.fromkeys(warnings)),
+            "hidden": hidden
+            and f"The camera hardly sees {hidden}: a spectrum is little more than a continuation there.",
         }
     )
 

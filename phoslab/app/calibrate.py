@@ -7,6 +7,7 @@ sessions do not carry is said, and the rest is delivered.
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
             "calibration.html",
             calibration=calibration,
             plot=_plot(calibration),
-            text=_report(calibration, warnings=False),
+            parts=_parts(calibration),
         )
         write_text(args.report, page)
     if args.json:
@@ -98,72 +99,122 @@ def _numbers(c: Calibration, args: argparse.Namespace) -> dict[str, object]:
     }
 
 
-def _report(c: Calibration, *, warnings: bool = True) -> str:
-    """What was found, in words and numbers."""
+def _report(c: Calibration) -> str:
+    """What was found, as text."""
+    lines = []
+    for part in _parts(c):
+        lines.append(f"[[{part.title}]]")
+        width = max(len(name) for name, _ in part.rows)
+        lines += [f"    {name:{width}}  {value}" for name, value in part.rows]
+    if c.simulated:
+        lines.append(f"    {c.simulated}")
+    if c.warnings:
+        lines.append("[[Warnings]]")
+        lines += [f"    - {w}" for w in c.warnings]
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Numbers of one kind: (name, value) each, and what they mean."""
+
+    title: str
+    rows: list[tuple[str, str]]
+    meaning: str
+
+
+def _parts(c: Calibration) -> list[_Part]:
+    """What was found, in numbers."""
+    return [_filter(c), _wavelengths(c), _transmission(c), _camera(c)]
+
+
+def _filter(c: Calibration) -> _Part:
+    rows = [("session", f"{name} ({plan})  {digest[:12]}") for name, plan, digest in c.sessions]
+    rows.append(("width", f"{c.strip.width_px:.1f} px"))
+    rows.append(("turned by", f"{c.strip.angle_deg:.2f} degrees"))
+    rows.append(("slant", f"{c.strip.slant:+.3f}"))
+    return _Part(
+        "Linear variable filter",
+        rows,
+        "Where the strip lies in the picture. Slant: by how many pixels along the strip a line of one wavelength moves "
+        "for each pixel across it.",
+    )
+
+
+def _wavelengths(c: Calibration) -> _Part:
     import numpy as np
 
     from phoslab.fitting.lvf import POSITIONS_NM
 
     error = c.map.standard_error_nm(c.places_px)
-    lines = ["[[Linear variable filter]]"]
-    lines += [f"    session     {name} ({plan})  {digest[:12]}" for name, plan, digest in c.sessions]
-    lines.append(
-        f"    strip       {c.strip.width_px:.1f} px wide, turned by {c.strip.angle_deg:.2f} degrees; "
-        f"slant {c.strip.slant:+.3f}"
-    )
-    lines.append("[[Wavelengths]]")
+    rows = []
     for nm in (400, 450, 500, 550, 600, 650, 700):
         k = int(np.flatnonzero(POSITIONS_NM == nm)[0])
-        if np.isnan(c.places_px[k]):
-            lines.append(f"    {nm} nm      not on the strip")
-        else:
-            lines.append(f"    {nm} nm      at {c.places_px[k]:8.2f} px  ± {error[k]:.2f} nm")
+        place = f"at {c.places_px[k]:.2f} px  ± {error[k]:.2f} nm"
+        rows.append((f"{nm} nm", "not on the strip" if np.isnan(c.places_px[k]) else place))
     for f in c.map.features:
-        lines.append(
-            f"    mercury {f.name}: " + (f"{f.off_nm:+.2f} nm off the map" if f.seen else "not seen")
-        )
-    lines.append(
-        f"    band        {c.map.width_nm:.1f} nm wide at 550 nm, in proportion to the wavelength elsewhere"
+        rows.append((f"mercury {f.name} nm", f"found {f.off_nm:+.2f} nm off" if f.seen else "not seen"))
+    rows.append(("passes", f"{c.map.width_nm:.1f} nm at 550 nm, in proportion to the wavelength elsewhere"))
+    return _Part(
+        "Wavelengths",
+        rows,
+        "Places are pixels along the strip from the picture's middle, ± is one standard error of the wavelength there. "
+        "Mercury's lines were found that far from where these wavelengths put them. The width is of the light that "
+        "passes at one place, at half of its height.",
     )
-    lines.append("[[Transmission]]")
+
+
+def _transmission(c: Calibration) -> _Part:
+    import numpy as np
+
+    from phoslab.fitting.lvf import POSITIONS_NM
+
     if c.curves is None:
-        lines.append("    no curves")
-    else:
-        there = int(np.isfinite(c.curves.curve).all(axis=1).sum())
-        lines.append(
-            f"    curves      {there} of {POSITIONS_NM.size} positions, "
-            f"{'shares of light' if c.absolute else 'relative'}"
+        return _Part(
+            "Transmission", [("curves", "none")], "There is no light of known spectrum to tell them from."
         )
-        lines.append(f"    light       {c.light}, alone and behind {len(c.filters)} filters")
-        lines.append(f"    misfit      {100 * c.curves.misfit:.2f} % of each position's brightest signal")
-    lines.append("[[Camera]]")
-    lines.append(
-        f"    sensitivity {c.sensitivities.name}; red x {c.map.gains[0]:.3f}, blue x {c.map.gains[2]:.3f}"
+    there = int(np.isfinite(c.curves.curve).all(axis=1).sum())
+    shares = "shares of light" if c.absolute else "relative"
+    return _Part(
+        "Transmission",
+        [
+            ("curves", f"{there} of {POSITIONS_NM.size} positions, {shares}"),
+            ("light", f"{c.light}, alone and behind {len(c.filters)} filters"),
+            ("misfit", f"{100 * c.curves.misfit:.2f} % of each position's brightest signal"),
+        ],
+        "How much of each wavelength passes at each position, and how far these curves are from what the camera saw.",
     )
+
+
+def _camera(c: Calibration) -> _Part:
+    import numpy as np
+
+    red, _, blue = c.map.gains
+    rows = [("sensitivity", f"{c.sensitivities.name}; red x {red:.3f}, blue x {blue:.3f}")]
     if c.settings_misfit is not None:
-        worst = max(c.settings.corrections.items(), key=lambda item: abs(item[1][0]))
-        (kind, value), (log, se) = worst
-        lines.append(
-            f"    settings    {len(c.settings.corrections)} from overlaps (misfit {100 * c.settings_misfit:.2f} %); "
-            f"farthest off: {kind} {value:g}, {100 * np.expm1(log):+.1f} ± {100 * se:.1f} %"
-        )
-    for iso, n in sorted(c.noise.items()):
-        electrons = n.read_dn[0] / n.gain[0]
-        lines.append(
-            f"    ISO {iso:<8g}{n.gain[0]:.4g} ± {n.gain[1]:.2g} DN per electron, read noise {n.read_dn[0]:.3g} ± "
-            f"{n.read_dn[1]:.1g} DN ({electrons:.1f} electrons)"
-            + (
-                ""
-                if n.dark_dn_per_s is None
-                else f", dark current {n.dark_dn_per_s[0]:.2g} ± {n.dark_dn_per_s[1]:.1g} DN/s"
+        (kind, value), (log, se) = max(c.settings.corrections.items(), key=lambda item: abs(item[1][0]))
+        rows.append(
+            (
+                "settings",
+                f"{len(c.settings.corrections)} from overlaps (misfit {100 * c.settings_misfit:.2f} %); farthest off: "
+                f"{kind} {value:g}, {100 * np.expm1(log):+.1f} ± {100 * se:.1f} %",
             )
         )
-    if c.simulated:
-        lines.append(f"    {c.simulated}")
-    if c.warnings and warnings:
-        lines.append("[[Warnings]]")
-        lines += [f"    - {w}" for w in c.warnings]
-    return "\n".join(lines)
+    for iso, n in sorted(c.noise.items()):
+        text = (
+            f"{n.gain[0]:.4g} ± {n.gain[1]:.2g} DN per electron, read noise {n.read_dn[0]:.3g} ± {n.read_dn[1]:.1g} DN "
+            f"({n.read_dn[0] / n.gain[0]:.1f} electrons)"
+        )
+        if n.dark_dn_per_s is not None:
+            text += f", dark current {n.dark_dn_per_s[0]:.2g} ± {n.dark_dn_per_s[1]:.1g} DN/s"
+        rows.append((f"ISO {iso:g}", text))
+    return _Part(
+        "Camera",
+        rows,
+        "Its colours' sensitivities, and the factors on red and blue that the filter's frames ask for. Settings: what "
+        "exposure times, ISO and apertures really are, from frames whose settings overlap. Noise is from pairs of "
+        "frames; DN are the camera's raw numbers.",
+    )
 
 
 def _plot(c: Calibration) -> str:
@@ -195,10 +246,19 @@ def _plot(c: Calibration) -> str:
             line = float(np.mean([float(x) for x in f.name.split("+")]))
             at = float(c.map.place(np.array([line]))[0])
             upper.plot(at, float(np.interp(at, s, nm - straight)) + f.off_nm, "o", ms=5, color="#c0392b")
+            # At the top, clear of dots and band.
             upper.annotate(
-                f.name, (at, 0), xytext=(0, 4), textcoords="offset points", fontsize=7, rotation=90
+                f.name.replace("+", "\n"),
+                (at, 1),
+                xycoords=("data", "axes fraction"),
+                xytext=(0, -4),
+                textcoords="offset points",
+                fontsize=7,
+                ha="center",
+                va="top",
             )
-    upper.set_xlabel("place along the strip [px]")
+    upper.margins(y=0.15)
+    upper.set_xlabel("place along the strip, from the picture's middle [px]")
     upper.set_ylabel("wavelength less a straight line [nm]\n(band: 2 standard errors; dots: mercury)")
     if c.curves is not None:
         for k in range(0, POSITIONS_NM.size, 2):
@@ -206,10 +266,19 @@ def _plot(c: Calibration) -> str:
             if np.isfinite(curve).all():
                 colour = f"C{k // 2 % 10}"
                 lower.plot(GRID_NM, curve, color=colour, lw=1)
+                lower.annotate(
+                    f"{POSITIONS_NM[k]:g}",
+                    (GRID_NM[np.argmax(curve)], float(curve.max())),
+                    xytext=(0, 6),
+                    textcoords="offset points",
+                    fontsize=7,
+                    color=colour,
+                    ha="center",
+                )
                 lower.fill_between(
                     GRID_NM, np.maximum(curve - band, 0), curve + band, color=colour, alpha=0.2, lw=0
                 )
-        lower.set_ylim(0, None)
+        lower.set_ylim(0, 1.1 * lower.get_ylim()[1])
     lower.set_xlim(390, 710)
     lower.set_xlabel("wavelength [nm]")
     lower.set_ylabel("transmission" if c.absolute else "transmission [relative]")

@@ -241,6 +241,7 @@ def _fit_session(args: argparse.Namespace) -> int:
                     "assumed": result.assumed,
                     "missing": list(result.missing),
                     "warnings": list(result.warnings),
+                    "notes": list(result.notes),
                 }
             )
         )

@@ -52,6 +52,7 @@ def write_report(
         result=result,
         material=result.material,
         states=_states(result),
+        off_by=_off_by(result),
         held_out={h.n_states: h for h in result.held_out},
         decay=svg(_decay_figure(result)),
         emission=svg(_emission_figure(result)),
@@ -66,17 +67,25 @@ def write_report(
     write_text(path, page)
 
 
+def _off_by(result: FitResult) -> str:
+    """Where the decay's fit is farthest off, if it is off by more than noise."""
+    t_s, share = result.fit.farthest_off()
+    return f"{share:.1%} at {t_s:.3g} s" if share else ""
+
+
 def _states(result: FitResult) -> list[dict[str, Any]]:
     """The numbers of each state, ready to print."""
+    from phoslab.fitting.result import with_error
+
     fit = result.fit
     share = fit.strength / fit.kr_per_s
     share = share / share.sum()
     return [
         {
-            "kr": _value(fit.kr_per_s[i], fit.kr_standard_error[i]),
+            "kr": with_error(fit.kr_per_s[i], fit.kr_standard_error[i]),
             "interval": "{:.4g} .. {:.4g}".format(*result.interval95[i]),
             "lifetime": f"{1 / fit.kr_per_s[i]:.3g}",
-            "amplitude": _value(fit.strength[i], fit.strength_standard_error[i]),
+            "amplitude": with_error(fit.strength[i], fit.strength_standard_error[i]),
             "share": f"{share[i]:.0%}",
         }
         for i in range(fit.n_states)
@@ -85,13 +94,13 @@ def _states(result: FitResult) -> list[dict[str, Any]]:
 
 def _excited(found: MeasuredExcitation) -> list[dict[str, str]]:
     """What is known of how each state is excited."""
+    from phoslab.fitting.excitation_report import excitation_of, initial_of
+
     fit = found.fit
     return [
         {
-            "a": _value(fit.a_per_s[i], fit.a_per_s[i] * fit.scale_error[i])
-            if not fit.product_only[i]
-            else f"{fit.a_per_s[i]:.2g}, to a factor only",
-            "initial": f"{fit.initial[i]:.3f}",
+            "a": excitation_of(fit, i),
+            "initial": initial_of(fit, i),
             "known": "only the product of Λ and ke" if fit.product_only[i] else "ke and Λ",
         }
         for i in range(fit.n_states)
@@ -105,16 +114,6 @@ def _calibration(result: FitResult) -> str:
         return ""
     parts = told.get("sessions") or [told]
     return ", ".join(f"{part['name']} ({part['sha256'][:16]})" for part in parts)
-
-
-def _value(value: float, error: float) -> str:
-    """Write a value to the second digit of its error, in thousands where it is large: `176.2 ± 4.9 thousand`."""
-    if not np.isfinite(error) or error <= 0:
-        return f"{value:.4g} (not determined)"
-    thousands = " thousand" if abs(value) >= 1e4 else ""
-    scale = 1e3 if thousands else 1.0
-    decimals = max(0, 1 - int(np.floor(np.log10(error / scale))))
-    return f"{value / scale:.{decimals}f} ± {error / scale:.{decimals}f}{thousands}"
 
 
 def _decay_figure(result: FitResult) -> Figure:
@@ -182,7 +181,7 @@ def _emission_figure(result: FitResult) -> Figure:
         axes.fill_between(seen.nm, np.maximum(low, 0), high, color="0.3", alpha=0.25, lw=0)
     axes.set_ylim(0, None)
     axes.set_xlabel("wavelength [nm]")
-    axes.set_ylabel("radiance of full states\n[material's unit]")
+    axes.set_ylabel("radiance, all states full\n[material's unit]")
     axes.legend(frameon=False)
     return figure
 
@@ -198,7 +197,7 @@ def _excitation_figure(found: MeasuredExcitation) -> Figure:
     from phoslab.fitting.decay_problem import exposed_decay
 
     fit, data = found.fit, found.series.data
-    figure = Figure(figsize=(8, 3.6), layout="constrained")
+    figure = Figure(figsize=(8, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2)
     lit = data.steps.lit_s
     order = np.argsort(lit)
@@ -226,10 +225,14 @@ def _excitation_figure(found: MeasuredExcitation) -> Figure:
         )
         left.plot(lit[order], scale * model[order, s], color=colour, lw=1)
     left.set_xscale("log")
+    doubled = 2.0 ** np.arange(np.floor(np.log2(lit.min())), np.ceil(np.log2(lit.max())) + 1)
+    left.set_xticks(doubled, [f"{t:g}" for t in doubled])
+    left.minorticks_off()
     left.set_ylim(0, None)
     left.set_xlabel("length of light [s]")
     left.set_ylabel("glow, as a share of the brightest")
-    left.legend(frameon=False, fontsize=8)
+    # Above the axes: lines may run anywhere in them.
+    left.legend(frameon=False, fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     _draw_rates(right, fit)
     for axes in (left, right):
         axes.grid(alpha=0.25)
@@ -257,7 +260,7 @@ def _draw_rates(axes: Axes, fit: ExcitationFit) -> None:
     axes.set_yscale("log")
     axes.set_xlabel("wavelength [nm]")
     axes.set_ylabel("ke, as a share of the largest" if fit.common_shape else "ke [m²/J of the lamp's unit]")
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(frameon=False, fontsize=8, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def data_uri(path: Path) -> str:

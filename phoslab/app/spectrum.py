@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from phoslab.bands import Bands
     from phoslab.files import check_outside, write_text
     from phoslab.fitting.lvf_file import load
-    from phoslab.fitting.spectrum import measure_spectrum
+    from phoslab.fitting.spectrum import MISSES, measure_spectrum
 
     sessions = [s for s in (args.session, args.flat) if s is not None]
     extra = [p for p in (args.plot, args.report) if p is not None]
@@ -65,6 +65,8 @@ def run(args: argparse.Namespace) -> int:
             what="the lamp's spectrum" if result.plan == "lamp" else "the spectrum of a glow",
             result=result,
             plot=plot,
+            peak=_peak(result),
+            misses=MISSES,
             n_positions=int(np.isfinite(result.measured).any(axis=1).sum()),
             bands=[(bands.label(j), f"{means[j]:.4f} ± {errors[j]:.4f}") for j in range(bands.n)],
             calibration=args.lvf.name,
@@ -85,13 +87,14 @@ def run(args: argparse.Namespace) -> int:
                     "shift_px": result.shift_px,
                     "misfit": result.scaled_misfit,
                     "warnings": list(result.warnings),
+                    "notes": list(result.notes),
                 }
             )
         )
         return 0
     lines = ["[[Spectrum]]", f"    session     {result.session[0]} ({result.plan})  {result.session[1][:12]}"]
     lines.append(f"    calibration {args.lvf.name}  {digest[:12]}")
-    lines.append(f"    peak        {result.peak_nm:.1f} nm")
+    lines.append(f"    peak        {_peak(result)}")
     lines.append(f"    misfit      {result.scaled_misfit:.2f} of what noise and calibration explain")
     lines.append(f"    strip       moved by {result.shift_px:+.2f} px along itself since the calibration")
     lines.append("[[Band means]]  (1 at the spectrum's highest)")
@@ -102,9 +105,20 @@ def run(args: argparse.Namespace) -> int:
     if result.warnings:
         lines.append("[[Warnings]]")
         lines += [f"    - {w}" for w in result.warnings]
+    if result.notes:
+        lines.append("[[Notes]]")
+        lines += [f"    - {n}" for n in result.notes]
     print("\n".join(lines))
     print(f"Wrote {', '.join(str(p) for p in (args.output, *extra))}")
     return 0
+
+
+def _peak(result: Spectrum) -> str:
+    """Where the spectrum is highest; at an end it may go on rising."""
+    at = f"{result.peak_nm:.1f} nm"
+    if result.nm[0] < result.peak_nm < result.nm[-1]:
+        return at
+    return f"at {at}, the end of what is measured: it is still rising there"
 
 
 def _table(result: Spectrum, calibration: str, digest: str) -> str:
@@ -139,11 +153,12 @@ def _plot(result: Spectrum) -> str:
     upper.set_ylim(0, 1.3)
     upper.set_ylabel("relative spectral radiance\n(band: 2 standard errors)")
     top = np.nanmax(result.measured)
-    for c, colour in enumerate(("#c0392b", "#1e8449", "#2455a4")):
-        lower.plot(POSITIONS_NM, result.measured[:, c] / top, "o", ms=3, color=colour)
+    for c, (name, colour) in enumerate((("R", "#c0392b"), ("G", "#1e8449"), ("B", "#2455a4"))):
+        lower.plot(POSITIONS_NM, result.measured[:, c] / top, "o", ms=3, color=colour, label=name)
         lower.plot(POSITIONS_NM, result.predicted[:, c] / top, color=colour, lw=1)
     lower.set_xlabel("wavelength, or a position's middle [nm]")
-    lower.set_ylabel("signal at the positions\n(points: measured, lines: predicted)")
+    lower.set_ylabel("signal, as a share of the largest\n(points: measured, lines: predicted)")
+    lower.legend(title="camera's colours", frameon=False, fontsize=8)
     for axes in (upper, lower):
         axes.grid(alpha=0.25)
     return svg(figure)
