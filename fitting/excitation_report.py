@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 _RISE = 0.05
 _LEVEL = 0.02
 # A state that fills no further than this shows nothing of its saturation.
-_HARDLY_FULL = 0.05
+_HARDLY_FULL = 0.01
 
 
 def doubts(fit: ExcitationFit) -> tuple[str, ...]:
@@ -29,7 +29,7 @@ def doubts(fit: ExcitationFit) -> tuple[str, ...]:
     if empty.size:
         found.append(
             f"The fit leaves {_states(empty)} next to empty however long the lamp shone, and makes up for it by a Λ "
-            "as large: under more light than was recorded a render is far too bright. Fewer states, or a series with "
+            "as much too large: under more light than was recorded a render is far too bright. Fewer states, or a series with "
             "longer exposures, may tell how full it becomes."
         )
     loose = fit.kr_per_s[fit.product_only]

@@ -61,8 +61,8 @@ def gather(paths: Sequence[str | os.PathLike[str]]) -> Gathered:
             continue
         if plan in by_plan:
             warnings.append(
-                f"{by_plan[plan].path}: is left out, since {folder} is of the plan {plan!r} as well and of each plan the "
-                "last one named counts. Name only the one that is meant."
+                f"{by_plan[plan].path}: is left out, since {folder} is of the plan {plan!r} as well and the last one "
+                "named of each plan counts. Name only the one that is meant."
             )
         by_plan[plan] = session
     if not by_plan:

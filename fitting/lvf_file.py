@@ -113,7 +113,7 @@ def load(path: Path) -> tuple[Calibration, str]:
     Raises:
         PhoslabError: the file is missing, no calibration, of another version, or does not fit the schema.
     """
-    remedy = "Name the file that `phoslab calibrate SESSION... -o lvf.json` wrote."
+    remedy = "Write it with `phoslab calibrate SESSION... -o lvf.json`, and name that file."
     try:
         text = read_regular(path, _LARGEST_BYTES, remedy=remedy).decode("utf-8")
     except UnicodeDecodeError as error:

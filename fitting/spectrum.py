@@ -99,6 +99,11 @@ class Spectrum:
         )
 
     @property
+    def rising(self) -> bool:
+        """Whether it is highest at an end of what was measured, and may go on rising beyond."""
+        return not 0 < int(np.argmax(self.value)) < self.nm.size - 1
+
+    @property
     def peak_nm(self) -> float:
         """Wavelength of the highest value, between the wavelengths by a parabola."""
         k = int(np.argmax(self.value))

@@ -65,7 +65,6 @@ def run(args: argparse.Namespace) -> int:
             what="the lamp's spectrum" if result.plan == "lamp" else "the spectrum of a glow",
             result=result,
             plot=plot,
-            peak=_peak(result),
             misses=MISSES,
             n_positions=int(np.isfinite(result.measured).any(axis=1).sum()),
             bands=[(bands.label(j), f"{means[j]:.4f} ± {errors[j]:.4f}") for j in range(bands.n)],
@@ -94,7 +93,8 @@ def run(args: argparse.Namespace) -> int:
         return 0
     lines = ["[[Spectrum]]", f"    session     {result.session[0]} ({result.plan})  {result.session[1][:12]}"]
     lines.append(f"    calibration {args.lvf.name}  {digest[:12]}")
-    lines.append(f"    peak        {_peak(result)}")
+    beyond = ", the end of what is measured: it may go on rising" if result.rising else ""
+    lines.append(f"    peak        {result.peak_nm:.1f} nm{beyond}")
     lines.append(f"    misfit      {result.scaled_misfit:.2f} of what noise and calibration explain")
     lines.append(f"    strip       moved by {result.shift_px:+.2f} px along itself since the calibration")
     lines.append("[[Band means]]  (1 at the spectrum's highest)")
@@ -111,14 +111,6 @@ def run(args: argparse.Namespace) -> int:
     print("\n".join(lines))
     print(f"Wrote {', '.join(str(p) for p in (args.output, *extra))}")
     return 0
-
-
-def _peak(result: Spectrum) -> str:
-    """Where the spectrum is highest; at an end it may go on rising."""
-    at = f"{result.peak_nm:.1f} nm"
-    if result.nm[0] < result.peak_nm < result.nm[-1]:
-        return at
-    return f"at {at}, the end of what is measured: it is still rising there"
 
 
 def _table(result: Spectrum, calibration: str, digest: str) -> str:

@@ -226,13 +226,41 @@ def test_far_from_saturation_only_the_product_is_claimed():
 
 def test_near_saturation_the_factors_are_claimed():
     truth = made(steps_of_bands(VIOLET), 3.0)
-    assert fit_excitation(truth.data, truth.charge).product_only.tolist() == [False]
+    fit = fit_excitation(truth.data, truth.charge)
+    assert fit.product_only.tolist() == [False]
+    assert "not determined" not in report(fit)
+    # Known as far as saturation is: the truth lies within 4 errors.
+    assert abs(np.log(fit.initial[0] / truth.initial[0])) < 4 * fit.initial_error[0]
 
 
 def test_where_the_model_misses_more_than_noise_only_the_product_is_claimed(two_states):
     _, fit = two_states
     assert not fit.product_only.any()
-    assert replace(fit, discrepancy=0.03).product_only.all()
+    loose = replace(fit, discrepancy=0.03)
+    assert loose.product_only.all()
+    told = [line for line in report(loose).splitlines() if "r when the lamp went off" in line]
+    assert len(told) == 2
+    assert all("not determined" in line for line in told)
+
+
+def test_a_series_that_begins_past_the_rise_says_that_it_was_not_recorded():
+    truth = made(steps_of_bands(VIOLET, VIOLET), 1.5)
+    # The slower state rises at 0.05 1/s behind the whole lamp, and glows a little: past half after 128 s everywhere.
+    late = LIT_S >= 128
+    steps = Steps.of(LIT_S[late], DELAY_S[late], EXPOSURE_S[late], COURSE)
+    data = replace(truth.data, steps=steps, signal=truth.data.signal[late], sigma=truth.data.sigma[late])
+    fit = fit_excitation(data, truth.charge, common_shape=True, limits=False)
+    assert fit.rise_unseen
+    assert "(128 s and longer) were past half of the final glow" in report(fit)
+    assert "--first 1" in report(fit)
+    assert not fit_excitation(truth.data, truth.charge, common_shape=True, limits=False).rise_unseen
+
+
+def test_a_state_that_stays_empty_is_said_to_render_too_bright(two_states):
+    _, fit = two_states
+    empty = replace(fit, discrepancy=0.03, initial=np.array([0.9, 0.001]))
+    (said,) = [line for line in report(empty).splitlines() if "next to empty" in line]
+    assert f"the state of {fit.kr_per_s[1]:.3g} 1/s" in said
 
 
 def test_one_spectrum_for_both_states_is_preferred_where_it_is_true():
@@ -438,7 +466,18 @@ def test_paint_of_traps_rises_slower_than_any_model_and_that_is_reported(paint_o
     fit, _, _ = paint_of_traps
     # Retrapping: the first electrons fill traps and give little light. The paper found the same of its model.
     assert fit.rise_ratio < 0.95
-    assert "rises faster than the measured one" in report(fit)
+    told = report(fit)
+    assert "rises faster than the measured one" in told
+    measured = np.nanmedian(fit.rise_s[:, 0])
+    assert f"after {measured * fit.rise_ratio:.2g} s of light, the sample after {measured:.2g} s" in told
+    lit_s, factor = fit.farthest_off()
+    frame = int(np.argmin(np.abs(fit.data.steps.lit_s - lit_s)))
+    ratio = fit.model[frame, fit.bright] / fit.data.signal[frame, fit.bright]
+    assert ratio.min() < factor < ratio.max()
+    # It is early that a sample of traps lags behind.
+    assert factor > 1.2
+    assert lit_s < measured
+    assert f"after {lit_s:.2g} s of light, where it is {factor:.2g} times as bright" in told
 
 
 def test_the_excitation_spectrum_of_paint_of_traps_comes_out(paint_of_traps):

@@ -175,6 +175,26 @@ def test_a_file_that_holds_no_covariance_still_tells_a_spectrum(calibration, lam
     assert (np.abs(found.value - known.value)[seen] < 2 * error).all()
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        (
+            "material.json",
+            '{"schema": "phoslab-material/1"}',
+            "is a material, and is no calibration of the filter",
+        ),
+        ("fit.json", '{"states": 2}', "has the schema None, and is no calibration"),
+        ("campaign.toml", 'sample = "green"', "is no calibration of the filter: it is not valid JSON"),
+        ("lvf.json", '{"schema": "phoslab-lvf/99"}', "this phoslab reads 'phoslab-lvf/1'"),
+    ],
+)
+def test_another_file_is_told_from_a_calibration_of_another_version(tmp_path, name, content, words):
+    path = tmp_path / name
+    path.write_text(content)
+    with pytest.raises(PhoslabError, match=words):
+        load(path)
+
+
 def test_a_covariance_that_is_none_is_refused(calibration, tmp_path):
     save(calibration, tmp_path / "lvf.json")
     data = json.loads((tmp_path / "lvf.json").read_text())

@@ -1,6 +1,7 @@
 """From a recorded session to a material, against what the simulated sample really did."""
 
 import json
+import shutil
 from dataclasses import replace
 from importlib.resources import as_file, files
 
@@ -10,6 +11,7 @@ import pytest
 import phoslab
 from phoslab.errors import PhoslabError
 from phoslab.fitting import fit_session
+from phoslab.fitting.gather import gather
 from phoslab.material import Material
 from phoslab.session import Session
 
@@ -79,7 +81,9 @@ def test_the_file_names_the_session_by_its_hash(green_fit, green_decay):
     assert source["sha256"] == Session.open(green_decay).digest
     back = Material.from_json(green_fit.material.to_json())
     assert back.to_json() == green_fit.material.to_json()
-    assert json.loads(back.to_json())["valid_s"][1] == pytest.approx(182.6)
+    first, last = json.loads(back.to_json())["valid_s"]
+    assert first == green_fit.reduced.data.t_s[0] > 0
+    assert last == pytest.approx(182.6)
 
 
 def test_a_decay_alone_gives_a_material_that_says_what_it_lacks(green_decay):
@@ -98,7 +102,31 @@ def test_a_decay_alone_gives_a_material_that_says_what_it_lacks(green_decay):
 def test_fewer_states_are_reported_as_a_misfit(green_decay):
     result = fit_session([green_decay], preset="green", states=1)
     assert result.fit.n_states == 1
-    assert any("not a sum of so few exponentials" in w for w in result.warnings)
+    (said,) = [w for w in result.warnings if "not a sum of so few exponentials" in w]
+    assert "--states 2" in said
+    t_s, share = result.fit.farthest_off()
+    assert f"by up to {share:.1%}, after {t_s:.3g} s" in said
+    # 95 % intervals of a model that misses bracket no truth.
+    assert result.misses
+    assert "no bounds of true rates" in result.report()
+
+
+def test_what_was_asked_for_is_not_said_to_have_been_chosen(green_decay, green_fit):
+    asked = fit_session([green_decay], preset="green", states=4)
+    assert asked.why_states.startswith("4, as was asked for")
+    assert [h.n_states for h in asked.held_out] == [4]
+    assert green_fit.why_states.startswith("Of 1 to 3 the largest number")
+    assert "--states 4" in green_fit.why_states
+
+
+def test_of_two_decays_the_last_one_named_is_fitted_and_that_is_said(green_decay, tmp_path):
+    again = tmp_path / "again"
+    shutil.copytree(green_decay, again)
+    told = gather([again, green_decay])
+    assert told.by_plan["decay"].path == green_decay
+    (said,) = [w for w in told.warnings if "left out" in w]
+    assert said.startswith(str(again))
+    assert "the last one named of each plan counts" in said
 
 
 @pytest.mark.parametrize(
