@@ -29,8 +29,8 @@ def doubts(fit: ExcitationFit) -> tuple[str, ...]:
     if empty.size:
         found.append(
             f"The fit leaves {_states(empty)} next to empty however long the lamp shone, and makes up for it by a Λ "
-            "as much too large: under more light than was recorded a render is far too bright. Fewer states, or a series with "
-            "longer exposures, may tell how full it becomes."
+            "as much too large: under more light than was recorded a render is far too bright. Fewer states, or a "
+            "series with longer exposures, may tell how full it becomes."
         )
     loose = fit.kr_per_s[fit.product_only]
     if loose.size:

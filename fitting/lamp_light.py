@@ -48,7 +48,7 @@ class LampLight:
     @property
     def said(self) -> str:
         """How the ends came about, and what rests on them."""
-        rests = "ke rests on that there, and its ± does not hold how well it holds."
+        rests = "ke there rests on that, with an error that its ± does not hold."
         if self.temperature_K is None:
             return (
                 f"The lamp follows no thermal radiator (off by {self.misfit:.0%}); below {_SURE_NM[0]:g} and above "

@@ -54,7 +54,7 @@ OWN_BANDS = 24
 """Of a material with a spectrum of its own: half as wide as what the strip passes. As many as the paper has, 8, would
 miss the camera's colours of the bench's paints by 2 to 9 %, these by 1 to 3 %."""
 
-AUTOMATIC = (1, 2, 3)
+_AUTOMATIC = (1, 2, 3)
 """What a session of some minutes is fitted with unless more is asked for."""
 
 
@@ -98,7 +98,7 @@ def fit_session(
     sensitivities = _sensitivities(session, calibration)
     reduced = reduce_decay(session, progress, camera)
     unseen = _no_decay(reduced, session)
-    tried = AUTOMATIC if states == "auto" else (int(states),)
+    tried = _AUTOMATIC if states == "auto" else (int(states),)
     selection = select(reduced.data, states=tried, offsets=[False], rank_one=True)
     chosen = selection.chosen
     fit = fit_decay(reduced.data, chosen.n_states, near=[chosen.fit.theta[: chosen.n_states]])

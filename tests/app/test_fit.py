@@ -103,6 +103,20 @@ def test_a_decay_alone_is_fitted_and_what_is_missing_stands_first(session, tmp_p
     assert "-o is missing" in capsys.readouterr().err
 
 
+def test_the_page_of_a_fit_that_misses_promises_no_true_rate(session, tmp_path):
+    pages = []
+    for states in ("1", "auto"):
+        page = tmp_path / f"{states}.html"
+        arguments = ["-o", str(tmp_path / "m.json"), "--states", states, "--report", str(page)]
+        assert cli.main(["fit", str(session), *arguments]) == 0
+        pages.append(" ".join(page.read_text().split()))
+    asked, chosen = pages
+    assert "1, as was asked for (--states 1)" in asked
+    assert "not a sum of so few exponentials" in asked
+    assert "95 of 100 measurements" not in asked
+    assert "Of 1 to 3 the largest number" in chosen
+
+
 def test_a_rising_table_is_one_sentence(tmp_path, capsys):
     path = tmp_path / "r.csv"
     path.write_text("t_s,lum\n" + "".join(f"{i},{i + 1}\n" for i in range(10)))

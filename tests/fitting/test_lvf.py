@@ -289,7 +289,9 @@ def test_a_rawtoaces_file_stands_in_for_the_name(lvf_session, calibration, tmp_p
 
 def test_the_commands_write_what_they_say(lvf_session, lamp_session, tmp_path, capsys):
     lvf, table = tmp_path / "lvf.json", tmp_path / "lamp.csv"
-    assert main(["calibrate", str(lvf_session), "-o", str(lvf), "--plot", str(tmp_path / "lvf.svg")]) == 0
+    drawn = ["--plot", str(tmp_path / "lvf.svg"), "--report", str(tmp_path / "lvf.html")]
+    assert main(["calibrate", str(lvf_session), "-o", str(lvf), *drawn]) == 0
+    assert "<tr><th>mercury 435.83 nm</th>" in (tmp_path / "lvf.html").read_text()
     assert "[[Wavelengths]]" in capsys.readouterr().out
     assert main(["spectrum", str(lamp_session), "--lvf", str(lvf), "-o", str(table), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -298,6 +300,8 @@ def test_the_commands_write_what_they_say(lvf_session, lamp_session, tmp_path, c
     assert main(arguments) == 0
     assert page in capsys.readouterr().out
     assert f"It is highest at {said['peak_nm']:.0f} nm" in (tmp_path / "lamp.html").read_text()
+    assert said["peak_nm"] == NM[-1]
+    assert "it may go on rising" in (tmp_path / "lamp.html").read_text()
     rows = np.array([[float(x) for x in r.split(",")] for r in table.read_text().splitlines() if r[0] != "#"])
     assert np.array_equal(rows[:, 0], NM)
     assert rows[:, 1].max() == 1.0
