@@ -225,7 +225,7 @@ def _excitation_figure(found: MeasuredExcitation) -> Figure:
         )
         left.plot(lit[order], scale * model[order, s], color=colour, lw=1)
     left.set_xscale("log")
-    doubled = 2.0 ** np.arange(np.floor(np.log2(lit.min())), np.ceil(np.log2(lit.max())) + 1)
+    doubled = 2.0 ** np.arange(np.round(np.log2(lit.min())), np.round(np.log2(lit.max())) + 1)
     left.set_xticks(doubled, [f"{t:g}" for t in doubled])
     left.minorticks_off()
     left.set_ylim(0, None)
