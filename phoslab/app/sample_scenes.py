@@ -19,9 +19,9 @@ def find_scene(given: Path) -> Path:
     >>> find_scene(Path("cornell")).name
     'cornell'
     """
-    samples = Path(str(files("phoslab.sample_data") / "scenes"))
     if given.exists() or len(given.parts) != 1 or given.suffix:
         return given
+    samples = Path(str(files("phoslab.sample_data") / "scenes"))
     if not (samples / given).is_dir():
         names = ", ".join(sorted(p.name for p in samples.iterdir() if p.is_dir()))
         raise PhoslabError(
