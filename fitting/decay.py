@@ -96,13 +96,11 @@ class DecayFit:
     @property
     def strength_standard_error(self) -> Array:
         """(n_c,) standard errors of `strength`, in the signal's unit."""
-        n, deviation = self.n_states, np.sqrt(np.diag(self.covariance))
-        if self.rank_one:
-            start = n + self.amplitude.shape[1] - 1
-        else:
+        if not self.rank_one:
             strongest = int(np.argmax(self.amplitude.sum(axis=0)))
-            start = n + strongest * (n + int(self.has_offset))
-        errors: Array = deviation[start : start + n]
+            return self.free_standard_error[: self.n_states, strongest]
+        start = self.n_states + self.amplitude.shape[1] - 1
+        errors: Array = np.sqrt(np.diag(self.covariance))[start : start + self.n_states]
         return errors
 
     def farthest_off(self) -> tuple[float, float]:
@@ -115,15 +113,22 @@ class DecayFit:
         return float(data.t_s[frame]), float(share[frame].max())
 
     @property
+    def free_standard_error(self) -> Array:
+        """(n_c, or n_c + 1 with an offset, n_channels) standard errors of A and O, where channels are free."""
+        errors: Array = np.sqrt(np.diag(self.covariance)[self.n_states :])
+        return errors.reshape(self.amplitude.shape[1], -1).T
+
+    @property
     def dead(self) -> NDArray[np.bool_]:
         """(n_c,) states without amplitude."""
         return np.asarray((self.amplitude <= 0).all(axis=1))
 
     @property
     def degenerate(self) -> bool:
-        """Whether a state has died or two have the same rate: the data do not carry so many."""
+        """Whether a state has died, is a second constant, or has another's rate: the data do not carry so many."""
         ratios = self.kr_per_s[:-1] / self.kr_per_s[1:]
-        return bool(self.dead.any() or (ratios < _SAME_RATE).any())
+        constant = self.has_offset and self.kr_per_s[-1] * self.data.end_s < _SLOWEST
+        return bool(self.dead.any() or constant or (ratios < _SAME_RATE).any())
 
     def predict(self, t_s: Array, exposure_s: Array) -> Array:
         """Return (n, n_channels) the modelled signal, averaged over exposures that begin at `t_s`."""

@@ -23,6 +23,7 @@ from phoslab.fitting.decay_problem import exposed_decay
 Array = NDArray[np.float64]
 
 _PER_DECADE = 12
+_EDGE = 1e-3  # to which the ends of a band are found
 _LIMIT = 3.841  # 95 % of chi² with one degree of freedom
 
 
@@ -32,7 +33,7 @@ class Beyond:
 
     Args:
         t_s: when.
-        value: (n_channels,) the fit continued, offset left out.
+        value: (n_channels,) the fit continued, offset left out; NaN where the band does not hold it.
         low, high: (n_channels,) the band of 95 %.
         inside: whether the time lies within the data.
     """
@@ -46,7 +47,8 @@ class Beyond:
     def to_dict(self) -> dict[str, Any]:
         """Return it as JSON takes it."""
         band = np.stack([self.low, self.high], axis=1)
-        return {"t_s": self.t_s, "value": self.value.tolist(), "band95": band.tolist()}
+        value = [v if np.isfinite(v) else None for v in self.value.tolist()]
+        return {"t_s": self.t_s, "value": value, "band95": band.tolist()}
 
 
 def lines(beyonds: Sequence[Beyond], channels: Sequence[str]) -> list[str]:
@@ -56,7 +58,7 @@ def lines(beyonds: Sequence[Beyond], channels: Sequence[str]) -> list[str]:
     text = ["[[at other times: value, and the band of 95 % that the data allow]]"]
     for b in beyonds:
         cells = ", ".join(
-            f"{c} {v:.4g} ({lo:.3g} .. {hi:.3g})"
+            f"{c} {f'{v:.4g}' if np.isfinite(v) else 'not told by the fit'} ({lo:.3g} .. {hi:.3g})"
             for c, v, lo, hi in zip(channels, b.value, b.low, b.high, strict=True)
         )
         text.append(f"  {b.t_s:g} s: {cells}{'' if b.inside else '   beyond the data'}")
@@ -65,11 +67,17 @@ def lines(beyonds: Sequence[Beyond], channels: Sequence[str]) -> list[str]:
 
 def warnings(beyonds: Sequence[Beyond], end_s: float) -> list[str]:
     """Return a sentence on each that lies beyond the data, which end at `end_s`."""
-    return [
+    beyond = [
         f"extrapolated: {b.t_s:g} s lies beyond the data, which end at {end_s:.4g} s; only the band is supported."
         for b in beyonds
         if not b.inside
     ]
+    outside = [
+        f"outside-the-band: what the fit says at {b.t_s:g} s is none of what the data allow there, and is left out."
+        for b in beyonds
+        if not np.isfinite(b.value).all()
+    ]
+    return beyond + outside
 
 
 def beyond(fit: DecayFit, t_s: float) -> Beyond:
@@ -90,7 +98,9 @@ def beyond(fit: DecayFit, t_s: float) -> Beyond:
         w = 1 / data.total_sigma[used, c]
         phi, y = w[:, None] * g[used], w * (data.signal[used, c] - fit.offset[c])
         ends[:, c] = _extremes(phi, y, at, fit)
-    return Beyond(t_s, value, ends[0], ends[1], t_s <= data.end_s)
+    # A fit that misses the data says what no course through them does.
+    held = (value >= ends[0] * (1 - _EDGE)) & (value <= ends[1] * (1 + _EDGE))
+    return Beyond(t_s, np.where(held, value, np.nan), ends[0], ends[1], t_s <= data.end_s)
 
 
 def _extremes(phi: Array, y: Array, at: Array, fit: DecayFit) -> tuple[float, float]:

@@ -23,12 +23,20 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 @dataclass(frozen=True)
 class OtherLaw:
-    """A fitted law: its name, its parameters by name, chi² and AICc to compare with the exponentials'."""
+    """A fitted law.
+
+    Args:
+        name: of the law.
+        parameters: by name.
+        chi2, aicc: to compare with the exponentials'.
+        course: (n, n_channels) the modelled signal.
+    """
 
     name: str
     parameters: dict[str, float]
     chi2: float
     aicc: float
+    course: Array
 
 
 def _stretched(theta: Array, t: Array) -> tuple[Array, Array]:
@@ -78,5 +86,6 @@ def fit_other_laws(data: DecayData) -> list[OtherLaw]:
         p, n = n_parameters, data.n_values
         aicc = best.chi2 + 2 * p + 2 * p * (p + 1) / (n - p - 1)
         values = dict(zip(names, np.exp(best.theta).tolist(), strict=True))
-        found.append(OtherLaw(name, values, best.chi2, aicc))
+        course = (law(best.theta, inside)[0] @ _WEIGHTS / 2)[:, None] * best.linear[:, 0]
+        found.append(OtherLaw(name, values, best.chi2, aicc, course))
     return found

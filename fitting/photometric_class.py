@@ -59,6 +59,10 @@ STANDARDS = (
 # Visible end of a DIN 67510 decay: a hundred times the threshold of the dark-adapted eye.
 DIN_THRESHOLD_MCD = 0.3
 
+DIN_LEGEND = (
+    f"mcd/m² after 10 min / after 60 min - minutes until {DIN_THRESHOLD_MCD} mcd/m²; ?: beyond the data"
+)
+
 # A value exactly at a limit reaches it, whatever float64 makes of exp(log(x)).
 _AT = 1 - 1e-9
 
@@ -97,7 +101,7 @@ def measured(data: DecayData, channel: int, scale: float) -> tuple[Callable[[Arr
     Raises:
         PhoslabError: fewer than two positive values.
     """
-    used = data.used[:, channel] & (data.signal[:, channel] > 0)
+    used = _read(data, channel)
     if used.sum() < 2:
         raise PhoslabError(
             "has fewer than two positive values",
@@ -112,6 +116,25 @@ def measured(data: DecayData, channel: int, scale: float) -> tuple[Callable[[Arr
         return np.asarray(np.exp(np.interp(np.log(at + origin), np.log(t + origin), np.log(values))))
 
     return luminance, float(t[-1])
+
+
+def _read(data: DecayData, channel: int) -> NDArray[np.bool_]:
+    """Return which values are read: none from the first on that is not positive, for there is more noise than glow."""
+    used = data.used[:, channel]
+    lost = used & (data.signal[:, channel] <= 0)
+    return used & ~np.logical_or.accumulate(lost)
+
+
+def in_the_noise(data: DecayData, channel: int) -> tuple[str, ...]:
+    """Return a sentence on values that are not read because they are lost in the meter's noise."""
+    left_out = data.used[:, channel] & ~_read(data, channel)
+    if not left_out.any():
+        return ()
+    since = float(data.t_s[left_out].min())
+    return (
+        f"in-the-noise: from {since:.4g} s on {data.channels[channel]} is not always positive: the meter no longer "
+        "tells the glow from nothing, and no value from there on is read.",
+    )
 
 
 def classify(

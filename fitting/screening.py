@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from phoslab.errors import PhoslabError
 from phoslab.fitting import decay, decay_problem
 from phoslab.fitting.decay_data import DecayData
+from phoslab.fitting.falling import not_falling
 from phoslab.fitting.table import DecayTable
 
 Array = NDArray[np.float64]
@@ -84,9 +85,15 @@ def screen(table: DecayTable) -> Screened:
             )
             sigma[:clipped, c] = np.inf
         reason = no_decay(t, signal[:, c], sigma[:, c])
+        if given[c] and not missing.all() and (bad_sigma | missing).all():
+            reason = f"has no usable value: no σ in {name}_sigma is positive"
         if reason:
             lost[name] = reason
-            flags.append(f"channel-lost: {name} {reason}.")
+    every = DecayData(t, table.exposure_s[rows], signal, sigma, channels=table.channels)
+    for c, name in enumerate(table.channels):
+        if name not in lost and (reason := not_falling(every, c, sigma_known=bool(given[c]))):
+            lost[name] = reason
+    flags += [f"channel-lost: {name} {reason}." for name, reason in lost.items()]
     kept = [c for c, name in enumerate(table.channels) if name not in lost]
     if not kept:
         raise PhoslabError(
@@ -94,9 +101,8 @@ def screen(table: DecayTable) -> Screened:
             file=table.file,
             remedy="Without a decay there are no rates: check the columns, and that the lamp was off.",
         )
-    data = DecayData(
-        t_s=t,
-        exposure_s=table.exposure_s[rows],
+    data = replace(
+        every,
         signal=signal[:, kept],
         sigma=sigma[:, kept],
         channels=tuple(table.channels[c] for c in kept),

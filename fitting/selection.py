@@ -80,6 +80,7 @@ def select(
     offsets: Sequence[bool] = (False, True),
     rank_one: bool = False,
     sigma_known: bool = True,
+    approximate: bool = False,
 ) -> Selection:
     """Fit every number of states, with and without offset, and choose.
 
@@ -88,6 +89,7 @@ def select(
         states: numbers of states to choose from.
         offsets: whether to choose from fits without offset, with one, or both.
         sigma_known: whether σ are known, or only relative to one another.
+        approximate: see `chance`.
 
     Raises:
         PhoslabError: fewer values than parameters for every candidate.
@@ -107,9 +109,13 @@ def select(
     for (n_states, offset), fit in fits.items():
         smaller = fits.get((n_states - 1, offset))
         cv, cv_error = _cross_validation(data, fit)
-        p = None if smaller is None else chance(smaller, fit, sigma_known=sigma_known)
+        p = (
+            None
+            if smaller is None
+            else chance(smaller, fit, sigma_known=sigma_known, approximate=approximate)
+        )
         candidates.append(Candidate(fit, p, cv, cv_error))
-    decided = _decide(candidates, sigma_known)
+    decided = _decide(candidates, sigma_known, approximate)
     sound = [c for c in candidates if c.sound] or candidates[:1]
     votes = {
         "AICc": min(sound, key=lambda c: c.fit.aicc),
@@ -140,23 +146,26 @@ def _share_weights(data: DecayData, most_states: int, *, rank_one: bool) -> Deca
     return replace(pilot.data, law=None)
 
 
-def chance(smaller: DecayFit, larger: DecayFit, *, sigma_known: bool = True) -> float:
+def chance(
+    smaller: DecayFit, larger: DecayFit, *, sigma_known: bool = True, approximate: bool = False
+) -> float:
     """Return how likely so much better a fit would be if the smaller model were true (F-test, chi² test).
 
-    Where the larger model misses the data by more than known σ explain, its own scatter counts instead.
+    Where the larger model misses the data by more than known σ explain, its own scatter counts instead: the σ may be
+    wrong. Not so if exponentials are known to be only `approximate`: what they miss is then no noise.
     """
     extra = larger.n_parameters - smaller.n_parameters
     gained = max(0.0, smaller.chi2 - larger.chi2)
     if extra <= 0 or larger.dof <= 0:
         return 1.0
-    if sigma_known and decay.misfit(larger.chi2, larger.dof) == 1.0:
+    if sigma_known and (approximate or decay.misfit(larger.chi2, larger.dof) == 1.0):
         return float(chdtrc(extra, gained))
     # σ estimated from the data make this close to 1. It is less where they are the last digits of the file, not noise.
     scatter = max(larger.chi2 / larger.dof, _LEAST_SCATTER)
     return float(fdtrc(extra, larger.dof, gained / extra / scatter))
 
 
-def _decide(candidates: Sequence[Candidate], sigma_known: bool) -> Candidate:
+def _decide(candidates: Sequence[Candidate], sigma_known: bool, approximate: bool) -> Candidate:
     """Return the smallest candidate that no larger, sound one which contains it beats by more than chance."""
     ladder = sorted((c for c in candidates if c.sound), key=lambda c: c.fit.n_parameters) or list(candidates)
     for here in ladder:
@@ -167,7 +176,10 @@ def _decide(candidates: Sequence[Candidate], sigma_known: bool) -> Candidate:
             and c.n_states >= here.n_states
             and c.fit.has_offset >= here.fit.has_offset
         ]
-        if all(chance(here.fit, c.fit, sigma_known=sigma_known) >= SIGNIFICANCE for c in larger):
+        chances = (
+            chance(here.fit, c.fit, sigma_known=sigma_known, approximate=approximate) for c in larger
+        )
+        if all(p >= SIGNIFICANCE for p in chances):
             return here
     return ladder[-1]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -65,6 +66,13 @@ def read_table(path: str | PathLike[str]) -> DecayTable:
     except csv.Error as error:
         raise PhoslabError(f"is not CSV ({error})", file=file, remedy=_REMEDY) from error
     header = [printable(name.strip()) for name in rows[0]]
+    if len(header) == 1 and "t_s" in re.split(r"[;\t]\s*", header[0])[:-1]:
+        raise PhoslabError(
+            "has no commas between its columns",
+            file=file,
+            field="the header",
+            remedy="Save the table as CSV with commas between columns and points in numbers (812.4).",
+        )
     if "t_s" not in header:
         raise PhoslabError(
             f"has no column t_s, but {', '.join(header) or 'none'}",
@@ -72,8 +80,26 @@ def read_table(path: str | PathLike[str]) -> DecayTable:
             field="the header",
             remedy=_REMEDY,
         )
+    strays = [
+        name for name in header if name == "sigma" or (name.endswith("_sigma") and name[:-6] not in header)
+    ]
+    if strays:
+        raise PhoslabError(
+            f"has the σ of no channel: {', '.join(strays)}; its columns are {', '.join(header)}",
+            file=file,
+            field="the header",
+            remedy="Name a column of σ after its channel: <channel>_sigma.",
+        )
     if len(set(header)) < len(header):
         raise PhoslabError("names a column twice", file=file, field="the header", remedy=_REMEDY)
+    for row, (line, _) in zip(rows[1:], lines[1:], strict=True):
+        if any(cell.strip() for cell in row[len(header) :]):
+            raise PhoslabError(
+                f"has {len(row)} cells for {len(header)} columns",
+                file=file,
+                field=f"line {line}",
+                remedy="Write numbers with a point, not a comma, and name every column.",
+            )
     columns = {
         name: np.array(
             [_number(row, k, name, line, file) for row, (line, _) in zip(rows[1:], lines[1:], strict=True)]

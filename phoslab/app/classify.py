@@ -80,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
         channel = _channel(args.channel, data.channels, args.decay)
         absolute = args.unit != "relative"
         glow, reach = pc.measured(data, channel, _MCD.get(args.unit, 1.0))
+        flags += pc.in_the_noise(data, channel)
         note = f"measured values of {data.channels[channel]}, straight lines in log L over log t between them"
     if not math.isfinite(reach):
         raise PhoslabError(
@@ -115,12 +116,21 @@ def run(args: argparse.Namespace) -> int:
     if not absolute:
         shares = ", ".join(f"{share:.2%} at {when}" for when, share in ratios.items()) or "none before 2 min"
         print(f"Calibrated only relatively: no class can be given, only shares of the start: {shares}.")
-        print("For a table of luminance say --unit mcd/m2; a material needs an absolute calibration.")
+        print(
+            'A material needs "calibration": "absolute", see "Relative and absolute" in docs/model.md; or classify a '
+            "table of a luminance meter."
+            if is_material
+            else "For a table of luminance say --unit mcd/m2."
+        )
     for v in verdicts:
         measured = ", ".join(f"{x:.3g} at {m:g} min" for m, x in v.luminance_mcd.items())
         print(f"  {v.standard:16} {v.verdict}: {v.reason}" + (f"  [mcd/m2: {measured}]" if measured else ""))
     if absolute:
         print(f"  DIN 67510 style  {label or 'insufficient data: 10 min are needed'}")
+        if label:
+            print(f"  {'':16} ({pc.DIN_LEGEND})")
+    if any(v.verdict == "not comparable" for v in verdicts):
+        print("Say how the sample was charged with --lux and --minutes; where it differs, charge as the standard does.")
     for flag in flags:
         print(f"  {flag}")
     print(pc.SOURCE)
@@ -132,11 +142,13 @@ def _channel(name: str | None, channels: tuple[str, ...], file: Path) -> int:
 
     if name is None and len(channels) == 1:
         return 0
-    if name not in channels:
+    choices = f"one of: {', '.join(channels)}"
+    if name is None:
         raise PhoslabError(
-            f"has the channels {', '.join(channels)}",
+            f"has {len(channels)} channels",
             file=file,
-            field="--channel",
-            remedy="Name the one of luminance.",
+            remedy=f"Say with --channel which is the luminance, {choices}.",
         )
+    if name not in channels:
+        raise PhoslabError(f"has no channel {name!r}", file=file, remedy=f"Use --channel with {choices}.")
     return channels.index(name)

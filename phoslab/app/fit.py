@@ -121,6 +121,7 @@ def _check_outputs(outputs: list[Path], sessions: list[Path]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    _check_inputs(args.session)
     if args.per_pixel or args.bin != 1 or args.scheduler is not None:
         return fit_per_pixel.run(args)
     if any(path.is_file() for path in args.session):
@@ -128,6 +129,17 @@ def run(args: argparse.Namespace) -> int:
     if fit_check.is_check(args.session):
         return fit_check.run(args)
     return _fit_session(args)
+
+
+def _check_inputs(inputs: list[Path]) -> None:
+    """Refuse a name that is not there, whatever else is missing."""
+    import os
+
+    from phoslab.errors import PhoslabError
+
+    for path in inputs:
+        if not os.path.lexists(path):
+            raise PhoslabError("does not exist", file=path, remedy="Name a session's folder, or a decay table.")
 
 
 def _needs(args: argparse.Namespace, option: str, what: str) -> None:

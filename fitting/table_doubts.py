@@ -1,0 +1,150 @@
+"""What of a table's fit should not be believed, and why: a sentence each, "code: sentence"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phoslab.fitting import decay
+from phoslab.fitting.decay import DecayFit, fit_decay
+from phoslab.fitting.missed import Run
+from phoslab.fitting.other_laws import OtherLaw
+from phoslab.fitting.selection import Selection, chance, select
+from phoslab.fitting.table_noise import Noise
+
+Array = NDArray[np.float64]
+
+_FEW_DOF = 10
+# A state less that so often looks as bad by chance is no worse.
+_AS_GOOD = 0.05
+# A law is said to fit better if AICc is less by this.
+_BETTER = 2.0
+
+
+def of_noise(found: Noise) -> str:
+    """Say where σ come from, and what χ² is worth then."""
+    worth = (
+        "χ² / dof tells how much worse the exponentials do."
+        if found.own
+        else "χ² / dof is 1 by construction and does not tell whether the fit is good."
+    )
+    return f"sigma-estimated: the table gives no σ; they were {found.said}. {worth}"
+
+
+def of_fit(fit: DecayFit, selection: Selection, *, auto: bool, sigma_known: bool) -> list[str]:
+    """Say what about the choice and the fit as a whole should not be believed."""
+    flags = []
+    if fit.degenerate and fit.n_states > 1:
+        flags.append(
+            f"states-not-distinct: {fit.n_states} states were asked for, but the data do not tell them apart: one has "
+            "no amplitude, two have the same rate, or one is as constant as the offset."
+        )
+    if auto and selection.dissent:
+        votes = ", ".join(f"{name} {vote.n_states}" for name, vote in selection.votes.items())
+        flags.append(f"criteria-disagree: on the number of states ({votes}); the F-test decides.")
+    if fit.has_offset:
+        worst = float(np.max(np.abs(fit.offset) / np.abs(fit.data.signal).max(axis=0)))
+        flags.append(
+            f"offset: a constant of up to {worst:.2g} of the peak was fitted: stray light, a dark value that was not "
+            "taken off, or a state too slow to be seen falling."
+        )
+    if sigma_known and decay.misfit(fit.chi2, fit.dof) > 1:
+        flags.append(
+            f"misfit: χ² / dof is {fit.chi2 / fit.dof:.3g}: the model misses the data by more than their σ. "
+            "Standard errors and intervals are widened by its root."
+        )
+    if 0 < fit.dof < _FEW_DOF:
+        flags.append(
+            f"few-dof: {fit.dof + fit.n_parameters} values for {fit.n_parameters} parameters are few: the errors are "
+            "themselves uncertain."
+        )
+    if fit.dof <= 0:
+        flags.append("no-dof: as many parameters as values: nothing is left to tell how good the fit is.")
+    return flags
+
+
+def too_many_states(fit: DecayFit, offsets: Sequence[bool], **tested: bool) -> str | None:
+    """Say that a state less fits as well, and what would have been chosen; None if it does not.
+
+    Args:
+        offsets: from which the choice would be made.
+        tested: what `chance` takes.
+    """
+    if fit.n_states == 1 or fit.dof <= 0:
+        return None
+    data = replace(fit.data, law=None)
+    fewer = fit_decay(data, fit.n_states - 1, offset=fit.has_offset, rank_one=False, polish=False)
+    p = chance(fewer, fit, **tested)
+    if p <= _AS_GOOD:
+        return None
+    chosen = select(data, states=range(1, fit.n_states), offsets=offsets, **tested).chosen.fit
+    rates = ", ".join(f"{kr:.4g}" for kr in chosen.kr_per_s)
+    return (
+        f"too-many-states: with one state less the data are met as well (F-test {p:.2g}), so single rates here mean "
+        f"nothing. --states auto takes {chosen.n_states}: {rates} 1/s"
+        f"{' and an offset' if chosen.has_offset else ''}."
+    )
+
+
+def of_rates(fit: DecayFit, interval: Array, *, too_many: bool) -> list[str]:
+    """Name the rates that the data leave open.
+
+    Args:
+        interval: (n_c, 2) in 1/s.
+        too_many: whether a state less fits as well.
+    """
+    flags = []
+    for i, (low, high) in enumerate(interval):
+        if low <= 0 and not np.isfinite(high):
+            flags.append(f"rate-undetermined: any value of kr[{i}] fits as well.")
+        elif not np.isfinite(high):
+            flags.append(
+                f"rate-open: kr[{i}] has no upper limit: what falls so fast is over before the second value, or its "
+                "state may be absent."
+            )
+        elif low <= 0 and too_many:
+            flags.append(f"rate-open: kr[{i}] may be 0: its state may be absent, others take its place.")
+        elif low <= 0:
+            flags.append(
+                f"rate-open: kr[{i}] may be 0: a constant in place of its state fits as well, since too little of its "
+                "fall is seen."
+            )
+    for i in range(fit.n_states - 1):
+        if interval[i, 0] < interval[i + 1, 1]:
+            flags.append(
+                f"rates-overlap: the intervals of kr[{i}] and kr[{i + 1}] overlap: the data hardly tell them apart."
+            )
+    return flags
+
+
+def of_run(fit: DecayFit, run: Run, estimated: Noise | None) -> str:
+    """Say which values the fit misses, and what could mend it.
+
+    Args:
+        estimated: the noise, where σ are not given.
+    """
+    data, t, k = fit.data, fit.data.t_s, run.worst
+    channel = data.channels[run.channel]
+    told = float(fit.predict(t[k : k + 1], data.exposure_s[k : k + 1])[0, run.channel])
+    where = f"at {t[run.first]:.4g} s" + (f" to {t[run.last]:.4g} s" if run.last > run.first else "")
+    remedy = (
+        "So few exponentials do not describe them."
+        if estimated is None or estimated.law == "relative"
+        else f"Try --noise relative, or give σ in a column {channel}_sigma."
+    )
+    return (
+        f"missed: {channel} {where} is missed by more than half of itself (at {t[k]:.4g} s "
+        f"{data.signal[k, run.channel]:.4g} was measured, the fit says {told:.2g}): the fit is not valid there. {remedy}"
+    )
+
+
+def of_laws(fit: DecayFit, laws: Sequence[OtherLaw]) -> list[str]:
+    """Name the laws that fit better than the exponentials."""
+    return [
+        f"other-law: a {law.name} law fits better (AICc {law.aicc:.4g} against {fit.aicc:.4g}): do not extrapolate."
+        for law in laws
+        if law.aicc < fit.aicc - _BETTER
+    ]
