@@ -33,7 +33,7 @@ class Beyond:
 
     Args:
         t_s: when.
-        value: (n_channels,) the fit continued, offset left out; NaN where the band does not hold it.
+        value: (n_channels,) the fit continued, offset left out; NaN where it misses the data.
         low, high: (n_channels,) the band of 95 %.
         inside: whether the time lies within the data.
     """
@@ -55,7 +55,7 @@ def lines(beyonds: Sequence[Beyond], channels: Sequence[str]) -> list[str]:
     """Return them as text for people, one line each and one above."""
     if not beyonds:
         return []
-    text = ["[[at other times: value, and the band of 95 % that the data allow]]"]
+    text = ["[[at other times: the glow without an offset, and the band of 95 % that the data allow]]"]
     for b in beyonds:
         cells = ", ".join(
             f"{c} {f'{v:.4g}' if np.isfinite(v) else 'not told by the fit'} ({lo:.3g} .. {hi:.3g})"
@@ -73,7 +73,7 @@ def warnings(beyonds: Sequence[Beyond], end_s: float) -> list[str]:
         if not b.inside
     ]
     outside = [
-        f"outside-the-band: what the fit says at {b.t_s:g} s is none of what the data allow there, and is left out."
+        f"not-told: at {b.t_s:g} s the fit misses the data, or leaves the band that they allow: its value is left out."
         for b in beyonds
         if not np.isfinite(b.value).all()
     ]

@@ -197,7 +197,11 @@ def fit_screened(
     flags += [table_doubts.of_run(fit, run, estimated) for run in runs]
     other = fit_other_laws(fit.data)
     flags += table_doubts.of_laws(fit, other)
-    beyonds = tuple(extrapolation.beyond(fit, t) for t in extrapolate_s)
+    valid = valid_times(fit, runs)
+    beyonds = tuple(
+        b if not runs or valid[0] <= b.t_s <= valid[1] else replace(b, value=np.full_like(b.value, np.nan))
+        for b in (extrapolation.beyond(fit, t) for t in extrapolate_s)
+    )
     flags += extrapolation.warnings(beyonds, data.end_s)
     return TableFit(
         fit=fit,
@@ -207,7 +211,7 @@ def fit_screened(
         sigma=said,
         scaled=not known,
         other_laws=tuple(other),
-        valid_s=valid_times(fit, runs),
+        valid_s=valid,
         extrapolated=beyonds,
         flags=tuple(flags),
         lost=screened.lost,

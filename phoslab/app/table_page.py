@@ -16,17 +16,35 @@ if TYPE_CHECKING:
 
     from phoslab.fitting.table_fit import TableFit
 
+# Half of the times lie before such a part of the last.
+_LOPSIDED = 5.0
+# Of the axis, above and below all values.
+_MARGIN = 2.0
+
 
 def write_page(path: str | os.PathLike[str], result: TableFit, name: str) -> None:
     """Write the page, whole or not at all."""
-    from phoslab.fitting.table_report import report
+    from phoslab.fitting import table_report as text
 
+    fit = result.fit
     page = render(
         "table.html",
         name=name,
         result=result,
+        fit=fit,
         decay=svg(_figure(result)),
-        text=report(result, name),
+        misfit=text.misfit(result),
+        number=text.number,
+        by_chance=text.by_chance,
+        rates=[
+            {
+                "kr": text.with_error(float(kr), float(fit.kr_standard_error[i]), share=True),
+                "interval": text.interval(result, i),
+                "lifetime": text.lifetime(result, i),
+            }
+            for i, kr in enumerate(fit.kr_per_s)
+        ],
+        amplitudes=[(channel, text.linear(result, c)) for c, channel in enumerate(fit.data.channels)],
         warnings=[flag.partition(": ")[::2] for flag in result.flags],
     )
     write_text(path, page)
@@ -40,7 +58,10 @@ def _figure(result: TableFit) -> Figure:
     figure = Figure(figsize=(8, 5.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1])
     middle = data.t_s + data.exposure_s / 2
-    t = np.linspace(max(0.0, float(data.t_s.min())), middle[-1], 500)
+    # Times that were spaced evenly in their logarithm are drawn so.
+    first = float(data.t_s.min())
+    by_decades = first > 0 and np.median(middle) < middle[-1] / _LOPSIDED
+    t = np.geomspace(first, middle[-1], 500) if by_decades else np.linspace(first, middle[-1], 500)
     curve, predicted = fit.predict(t, np.zeros_like(t)), fit.predict(data.t_s, data.exposure_s)
     for c, channel in enumerate(data.channels):
         used, colour = data.used[:, c], f"C{c}"
@@ -50,10 +71,15 @@ def _figure(result: TableFit) -> Figure:
         )
         upper.plot(t, curve[:, c], color=colour, lw=1)
         lower.plot(middle[used], (data.signal[used, c] - predicted[used, c]) / sigma, "o", ms=3, color=colour)
-    if (data.signal[data.used] > 0).all():
+    seen = data.signal[data.used]
+    if (seen > 0).all():
+        # What a fit says far below all values is nothing to look at.
         upper.set_yscale("log")
+        upper.set_ylim(seen.min() / _MARGIN, seen.max() * _MARGIN)
+    if by_decades:
+        upper.set_xscale("log")
     upper.set_ylabel("value [the table's unit]")
-    upper.legend(title="measured (points), fitted (lines)", ncols=4, frameon=False)
+    figure.legend(title="measured (points), fitted (lines)", ncols=4, frameon=False, loc="outside upper center")
     lower.axhline(0, color="0.4", lw=0.8)
     lower.set_ylabel("misfit [σ]")
     lower.set_xlabel("time since lamp-off [s]")
