@@ -48,7 +48,8 @@ def not_falling(data: DecayData, channel: int, *, sigma_known: bool) -> str | No
         return "is nowhere above its scatter: nothing glows"
     high = float(rate_intervals(alone, sigma_known=sigma_known)[0, 1])
     return (
-        f"is not seen to fall within the {one.end_s:.4g} s measured: if it fades, then at less than {high:.2g} 1/s (95 %)"
+        f"is not seen to fall within the {one.end_s:.4g} s measured: if it fades, then at less than {high:.2g} 1/s "
+        "(95 %)"
     )
 
 

@@ -46,9 +46,7 @@ def missed(fit: DecayFit, *, sigma_given: bool) -> list[Run]:
     for c in range(len(data.channels)):
         frames = np.flatnonzero(data.used[:, c])
         values, told = data.signal[frames, c], model[frames, c]
-        known = (
-            values > _SIGMAS * data.sigma[frames, c] if sigma_given else _smooth(data.t_s[frames], values)
-        )
+        known = values > _SIGMAS * data.sigma[frames, c] if sigma_given else _smooth(data.t_s[frames], values)
         off = np.abs(values - told)
         bad = known & (off > _SHARE * np.abs(values))
         if sigma_given:
@@ -56,7 +54,9 @@ def missed(fit: DecayFit, *, sigma_given: bool) -> list[Run]:
         edges = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(int), [0]])))
         for first, end in edges.reshape(-1, 2):
             if end - first > 1 or end == frames.size:
-                factor = off[first:end] / np.maximum(np.minimum(np.abs(told), np.abs(values))[first:end], 1e-300)
+                factor = off[first:end] / np.maximum(
+                    np.minimum(np.abs(told), np.abs(values))[first:end], 1e-300
+                )
                 worst = first + int(np.argmax(factor))
                 runs.append(Run(c, int(frames[first]), int(frames[end - 1]), int(frames[worst])))
     return runs

@@ -62,30 +62,45 @@ _LAWS: dict[str, tuple[_Law, tuple[str, str]]] = {
 
 
 def fit_other_laws(data: DecayData) -> list[OtherLaw]:
-    """Fit each law with its shape shared by the channels, an amplitude a channel; none if there are too few values."""
+    """Fit each law; none if there are too few values."""
+    return [fit_law(data, name) for name in _LAWS if enough_values(data)]
+
+
+def enough_values(data: DecayData) -> bool:
+    """Whether there are more values than a law has parameters, and one to spare."""
+    return data.n_values > 2 + data.signal.shape[1] + 1
+
+
+def fit_law(data: DecayData, name: str, near: OtherLaw | None = None) -> OtherLaw:
+    """Fit one law with its shape shared by the channels, and an amplitude a channel.
+
+    Args:
+        name: of the law.
+        near: begin where this fit ended.
+    """
+    law, names = _LAWS[name]
     weight = np.where(data.used, 1 / data.total_sigma, 0.0).T  # (n_channels, n)
     y = weight * np.where(data.used, data.signal, 0.0).T
     inside = data.t_s[:, None] + data.exposure_s[:, None] * (1 + _NODES) / 2  # (n, nodes)
-    found = []
-    for name, (law, names) in _LAWS.items():
-        n_parameters = 2 + len(y)
-        if data.n_values <= n_parameters + 1:
-            continue
 
-        def basis(theta: Array, law: _Law = law) -> tuple[Array, Array]:
-            f, df = law(theta, inside)
-            mean, d_mean = f @ _WEIGHTS / 2, df @ _WEIGHTS / 2
-            return (weight * mean)[:, :, None], (weight * d_mean[:, None, :])[..., None]
+    def basis(theta: Array) -> tuple[Array, Array]:
+        f, df = law(theta, inside)
+        mean, d_mean = f @ _WEIGHTS / 2, df @ _WEIGHTS / 2
+        return (weight * mean)[:, :, None], (weight * d_mean[:, None, :])[..., None]
 
-        starts = [
-            [np.log(scale * data.end_s if name == "Becquerel" else 1 / (scale * data.end_s)), np.log(shape)]
-            for scale in (0.01, 0.1, 0.5)
-            for shape in ((1.0, 2.0) if name == "Becquerel" else (0.4, 0.8))
-        ]
-        best = min((varpro.solve(basis, y, np.array(s), polish=False) for s in starts), key=lambda s: s.chi2)
-        p, n = n_parameters, data.n_values
-        aicc = best.chi2 + 2 * p + 2 * p * (p + 1) / (n - p - 1)
-        values = dict(zip(names, np.exp(best.theta).tolist(), strict=True))
-        course = (law(best.theta, inside)[0] @ _WEIGHTS / 2)[:, None] * best.linear[:, 0]
-        found.append(OtherLaw(name, values, best.chi2, aicc, course))
-    return found
+    starts = [
+        [np.log(scale * data.end_s if name == "Becquerel" else 1 / (scale * data.end_s)), np.log(shape)]
+        for scale in (0.01, 0.1, 0.5)
+        for shape in ((1.0, 2.0) if name == "Becquerel" else (0.4, 0.8))
+    ]
+    if near is not None:
+        starts = [[float(np.log(near.parameters[n])) for n in names]]
+    best = min(
+        (varpro.solve(basis, y, np.array(s), polish=False) for s in starts),
+        key=lambda s: s.chi2,
+    )
+    p, n = 2 + len(y), data.n_values
+    aicc = best.chi2 + 2 * p + 2 * p * (p + 1) / (n - p - 1)
+    values = dict(zip(names, np.exp(best.theta).tolist(), strict=True))
+    course = (law(best.theta, inside)[0] @ _WEIGHTS / 2)[:, None] * best.linear[:, 0]
+    return OtherLaw(name, values, best.chi2, aicc, course)

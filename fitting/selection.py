@@ -176,9 +176,7 @@ def _decide(candidates: Sequence[Candidate], sigma_known: bool, approximate: boo
             and c.n_states >= here.n_states
             and c.fit.has_offset >= here.fit.has_offset
         ]
-        chances = (
-            chance(here.fit, c.fit, sigma_known=sigma_known, approximate=approximate) for c in larger
-        )
+        chances = (chance(here.fit, c.fit, sigma_known=sigma_known, approximate=approximate) for c in larger)
         if all(p >= SIGNIFICANCE for p in chances):
             return here
     return ladder[-1]

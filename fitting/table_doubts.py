@@ -137,7 +137,8 @@ def of_run(fit: DecayFit, run: Run, estimated: Noise | None) -> str:
     )
     return (
         f"missed: {channel} {where} is missed by more than half of itself (at {t[k]:.4g} s "
-        f"{data.signal[k, run.channel]:.4g} was measured, the fit says {told:.2g}): the fit is not valid there. {remedy}"
+        f"{data.signal[k, run.channel]:.4g} was measured, the fit says {told:.2g}): the fit is not valid there. "
+        f"{remedy}"
     )
 
 

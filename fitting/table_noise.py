@@ -1,6 +1,6 @@
 """The noise of a table that gives no σ, from the scatter of its values about a smooth course.
 
-The course is that of a few exponentials, or another law of decay where that is likelier: a decay as 1/t over three
+The course is that of a few exponentials, or Becquerel's law where that is likelier: a decay as 1/t over three
 decades is no sum of three exponentials, and what these miss is no noise.
 """
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from phoslab.fitting import noise
 from phoslab.fitting.decay import fit_decay
 from phoslab.fitting.decay_data import DecayData
-from phoslab.fitting.other_laws import fit_other_laws
+from phoslab.fitting.other_laws import enough_values, fit_law
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 LEAST_NOISE = 1e-10
 # What is less simple must be likelier by a factor of e².
 _LIKELIER = 2.0
+_OTHER = "Becquerel"
 # Weights of another law follow its own course: relative ones settle to a per cent.
 _ITERATIONS = 4
 
@@ -100,7 +101,7 @@ def estimate_noise(data: DecayData, n_states: int, law: str = "auto", *, skip: i
 
 
 def _courses(data: DecayData, name: str, n_states: int) -> list[_Course]:
-    """Fit exponentials and other laws with the weights of one noise law."""
+    """Fit exponentials and Becquerel's law with the weights of one noise law."""
     n_channels = data.signal.shape[1]
     law = noise.unscaled(noise.LAWS[name], n_channels)
     first = np.where(data.used, law.sigma(np.maximum(data.signal, 0.0)), np.inf)
@@ -109,15 +110,14 @@ def _courses(data: DecayData, name: str, n_states: int) -> list[_Course]:
     courses = [
         _Course("the fit", fit.data.sigma, (fit.residual**2).sum(axis=0), n_states + n_states / n_channels)
     ]
-    for k in range(len(fit_other_laws(start))):
-        about = start
-        for _ in range(1 if name == "constant" else _ITERATIONS):
-            other = fit_other_laws(about)[k]
-            about = about.weighted_by(other.course)
-        miss = np.where(data.used, (data.signal - other.course) / about.sigma, 0.0)
-        courses.append(
-            _Course(f"a {other.name} law", about.sigma, (miss**2).sum(axis=0), 1 + 2 / n_channels)
-        )
+    if not enough_values(start):
+        return courses
+    about, other = start, fit_law(start, _OTHER)
+    for _ in range(0 if name == "constant" else _ITERATIONS):
+        about = about.weighted_by(other.course)
+        other = fit_law(about, _OTHER, near=other)
+    miss = np.where(data.used, (data.signal - other.course) / about.sigma, 0.0)
+    courses.append(_Course(f"a {_OTHER} law", about.sigma, (miss**2).sum(axis=0), 1 + 2 / n_channels))
     return courses
 
 

@@ -130,7 +130,9 @@ def run(args: argparse.Namespace) -> int:
         if label:
             print(f"  {'':16} ({pc.DIN_LEGEND})")
     if any(v.verdict == "not comparable" for v in verdicts):
-        print("Say how the sample was charged with --lux and --minutes; where it differs, charge as the standard does.")
+        print(
+            "Say how the sample was charged with --lux and --minutes; where it differs, charge as the standard does."
+        )
     for flag in flags:
         print(f"  {flag}")
     print(pc.SOURCE)

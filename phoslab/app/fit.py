@@ -139,7 +139,9 @@ def _check_inputs(inputs: list[Path]) -> None:
 
     for path in inputs:
         if not os.path.lexists(path):
-            raise PhoslabError("does not exist", file=path, remedy="Name a session's folder, or a decay table.")
+            raise PhoslabError(
+                "does not exist", file=path, remedy="Name a session's folder, or a decay table."
+            )
 
 
 def _needs(args: argparse.Namespace, option: str, what: str) -> None:

@@ -79,7 +79,9 @@ def _figure(result: TableFit) -> Figure:
     if by_decades:
         upper.set_xscale("log")
     upper.set_ylabel("value [the table's unit]")
-    figure.legend(title="measured (points), fitted (lines)", ncols=4, frameon=False, loc="outside upper center")
+    figure.legend(
+        title="measured (points), fitted (lines)", ncols=4, frameon=False, loc="outside upper center"
+    )
     lower.axhline(0, color="0.4", lw=0.8)
     lower.set_ylabel("misfit [σ]")
     lower.set_xlabel("time since lamp-off [s]")

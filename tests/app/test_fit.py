@@ -86,6 +86,27 @@ def test_the_report_of_a_table_gives_intervals_criteria_and_reasons(tmp_path, ca
         assert part in said
 
 
+def test_the_page_of_a_table_explains_its_numbers(tmp_path):
+    page = tmp_path / "r.html"
+    assert cli.main(["fit", str(table(tmp_path)), "--report", str(page), "--extrapolate", "50"]) == 0
+    said = page.read_text()
+    assert "<pre" not in said
+    for part in (
+        "Rates",
+        "Amplitudes",
+        "How many states?",
+        "Other laws",
+        "At other times",
+        "by construction",
+    ):
+        assert part in said
+
+
+def test_a_name_that_is_not_there_is_said_before_what_else_is_missing(tmp_path, capsys):
+    assert cli.main(["fit", str(tmp_path / "missing.csv")]) == 1
+    assert "missing.csv: does not exist" in capsys.readouterr().err
+
+
 def test_the_fit_of_a_table_does_not_overwrite_it(tmp_path, capsys):
     path = table(tmp_path)
     before = path.read_text()

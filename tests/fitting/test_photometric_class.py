@@ -101,3 +101,28 @@ def test_a_relative_decay_gives_shares_and_no_class(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "no class can be given" in said
     assert "10.00% at 2 min" in said
+
+
+def test_what_is_lost_in_noise_is_not_read(tmp_path, capsys):
+    table = tmp_path / "l.csv"
+    t = np.array([10, 60, 120, 600, 1200, 1500, 1800, 3600.0])
+    values = [1e4, 1e3, 300, 50, 3, -1, 2, 20]
+    table.write_text("t_s,lum\n" + "".join(f"{x},{v}\n" for x, v in zip(t, values, strict=True)))
+    arguments = ["classify", str(table), "--unit", "mcd/m2", "--lux", "1000", "--minutes", "5"]
+    assert cli.main(arguments) == 0
+    said = capsys.readouterr().out
+    assert "data reach to 20 min" in said
+    assert "in-the-noise: from 1500 s on" in said
+
+
+def test_what_is_missing_is_said_with_what_there_is(tmp_path, capsys):
+    table = tmp_path / "l.csv"
+    table.write_text("t_s,lum,red\n0,100,50\n60,20,10\n120,10,5\n600,1,0.5\n")
+    assert cli.main(["classify", str(table)]) == 1
+    assert "--channel which is the luminance, one of: lum, red" in capsys.readouterr().err
+    assert cli.main(["classify", str(table), "--channel", "blue"]) == 1
+    assert "no channel 'blue'" in capsys.readouterr().err
+    assert cli.main(["classify", str(table), "--channel", "lum", "--unit", "mcd/m2"]) == 0
+    said = capsys.readouterr().out
+    assert "--lux and --minutes" in said
+    assert "minutes until 0.3 mcd/m²" in said

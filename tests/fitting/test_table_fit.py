@@ -173,7 +173,7 @@ def test_a_table_says_everything_in_one_object(tmp_path):
 def test_noise_that_is_not_given_is_estimated_and_said_so(tmp_path):
     y = course(*USUAL) + np.random.default_rng(5).normal(0, 0.002, 37)
     result = fit_table(written(tmp_path, t_s=T, lum=y), states=2)
-    assert flagged(result, "sigma-estimated")
+    assert "1 by construction" in flagged(result, "sigma-estimated")[0]
     # 33 degrees of freedom: a standard deviation to 12 %; three of those.
     assert result.fit.data.sigma[0, 0] == pytest.approx(0.002, rel=0.37)
 
@@ -302,9 +302,101 @@ def test_a_bootstrap_agrees_with_the_profile(tmp_path):
     assert (np.abs(result.bootstrap95 - result.interval95).max(axis=1) < 0.25 * width).all()
 
 
+METER_T = np.array([2, 4, 8, 15, 30, 60, 120, 240, 450, 900, 1800, 3600.0])
+METER = 1600 / METER_T * (1 + np.random.default_rng(1).normal(0, 0.02, METER_T.size))
+
+
+def test_the_noise_of_a_decay_that_exponentials_do_not_follow_is_not_what_they_miss(tmp_path):
+    result = fit_table(written(tmp_path, t_s=METER_T, lum=METER), extrapolate_s=[900.0])
+    assert "Becquerel" in result.sigma
+    assert "in proportion" in result.sigma
+    assert not result.scaled
+    # 9 degrees of freedom: a standard deviation to 24 %; three of those about 2 %.
+    assert result.fit.data.sigma[:, 0] / METER == pytest.approx(np.full(12, 0.02), rel=0.72)
+    assert flagged(result, "misfit")
+    # All decades are followed, to the several per cent that four exponentials can.
+    told = result.fit.predict(METER_T, np.zeros(METER_T.size))[:, 0]
+    assert np.abs(told / METER - 1).max() < 0.5
+    assert result.valid_s == (2.0, 3600.0)
+
+
+def test_values_that_the_fit_misses_altogether_are_named_and_not_valid(tmp_path):
+    path = written(tmp_path, t_s=METER_T, lum=METER)
+    result = fit_table(path, states=2, offset="none", noise_law="constant", extrapolate_s=[900.0])
+    (said,) = flagged(result, "missed")
+    assert "to 3600 s" in said
+    assert "--noise relative" in said
+    assert "lum_sigma" in said
+    assert result.valid_s[1] < 240
+    assert np.isnan(result.extrapolated[0].value).all()
+    assert result.to_dict()["extrapolated"][0]["value"] == [None]
+    assert flagged(result, "not-told")
+
+
+def test_a_tail_within_the_noise_is_not_called_missed(tmp_path):
+    t = np.arange(60) * 5.0
+    y = course([0.132, 0.03], [0.7, 0.3], t) + np.random.default_rng(0).normal(0, 0.005, t.size)
+    result = fit_table(written(tmp_path, t_s=t, lum=y), states=2, offset="none", noise_law="constant")
+    assert not flagged(result, "missed")
+    assert result.valid_s == (0.0, 295.0)
+
+
+def test_a_value_at_another_time_lies_in_its_band_or_is_not_told(tmp_path):
+    result = fit_table(
+        written(tmp_path, t_s=METER_T, lum=METER),
+        states=3,
+        noise_law="relative",
+        extrapolate_s=[30.0, 900.0, 7e3],
+    )
+    for b in result.extrapolated:
+        inside = (b.low * (1 - 1e-3) <= b.value) & (b.value <= b.high * (1 + 1e-3))
+        assert (inside | np.isnan(b.value)).all()
+
+
+@pytest.mark.parametrize(
+    ("level", "reason"), [(0.0, "nowhere above its scatter"), (100.0, "not seen to fall")]
+)
+def test_noise_tells_no_rate(tmp_path, level, reason):
+    t = np.arange(30) * 20.0
+    noise = np.random.default_rng(1).normal(0, 1, t.size)
+    with pytest.raises(PhoslabError, match=reason):
+        fit_table(written(tmp_path, t_s=t, lum=level + noise - noise.mean()))
+
+
+def test_a_light_that_is_not_seen_to_fall_has_a_limit_of_its_rate(tmp_path):
+    t = np.arange(30) * 20.0
+    y = 100 + np.random.default_rng(1).normal(0, 1, t.size)
+    with pytest.raises(PhoslabError, match=r"at less than (.*) 1/s") as refused:
+        fit_table(written(tmp_path, t_s=t, lum=y))
+    limit = float(str(refused.value).split("at less than ")[1].split()[0])
+    # A slope is known to 1 % / (sqrt(30) * 173 s): 1.1e-5 1/s; the limit lies up to five of those above 0.
+    assert 0 < limit < 5.3e-5
+
+
+def test_errors_of_amplitudes_and_offset_are_those_of_draws():
+    draws = (drawn(*USUAL, seed=s, offset=0.01) for s in range(40))
+    fits = [fit_decay(d, 2, offset=True, rank_one=False, polish=False) for d in draws]
+    told = fits[0].free_standard_error
+    for values, errors in (([f.amplitude for f in fits], told[:2]), ([f.offset for f in fits], told[2])):
+        # A standard deviation of 40 draws is known to 11 %; four of those.
+        assert np.std(values, axis=0) == pytest.approx(errors, rel=0.45)
+
+
+def test_too_many_states_name_what_would_be_chosen(tmp_path):
+    result = fit_table(written(tmp_path, t_s=T, lum=Y), states=4)
+    (said,) = flagged(result, "too-many-states")
+    assert "--states auto takes 2: 0.13" in said
+    assert not any("too little of its fall" in f for f in flagged(result, "rate-open"))
+
+
 @pytest.mark.parametrize(
     ("text", "named"),
     [
+        ("t_s,lum,red_sigma\n0,1,1\n", "σ of no channel: red_sigma; its columns are t_s, lum, red_sigma"),
+        ("t_s,lum,sigma\n0,1,1\n", "σ of no channel: sigma"),
+        ("t_s;lum\n0;1,5\n", "no commas between its columns"),
+        ("t_s,lum\n0,1,5\n", "line 2 has 3 cells for 2 columns"),
+        ("t_s,lum,lum_sigma\n0,1,0\n5,0.5,-1\n", "no σ in lum_sigma is positive"),
         ("t_s,lum\n0,1\n5,abc\n", r"lum in line 3 is 'abc'"),
         ("0,1\n5,2\n", "no column t_s"),
         ("", "holds no table"),
