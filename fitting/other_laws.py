@@ -68,7 +68,7 @@ def fit_other_laws(data: DecayData) -> list[OtherLaw]:
 
 def enough_values(data: DecayData) -> bool:
     """Whether there are more values than a law has parameters, and one to spare."""
-    return data.n_values > 2 + data.signal.shape[1] + 1
+    return data.n_values > 3 + len(data.channels)
 
 
 def fit_law(data: DecayData, name: str, near: OtherLaw | None = None) -> OtherLaw:

@@ -30,8 +30,8 @@ def report(result: TableFit, name: str) -> str:
             b = result.bootstrap95[i]
             lines.append(f"                          bootstrap 95 %: {b[0]:.4g} .. {b[1]:.4g}")
     lines.append("[[amplitudes at t = 0, in the table's unit]]")
-    for c, channel in enumerate(data.channels):
-        for label, value in linear(result, c).items():
+    for k, channel in enumerate(data.channels):
+        for label, value in linear(result, k).items():
             lines.append(f"  {channel + ' ' + label:24}{value}")
     lines.append("[[number of states; every candidate with the same weights, those of a first fit]]")
     lines.append("  states offset           χ²   dof       AICc        BIC    F-test  cross-validation")
