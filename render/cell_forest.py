@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.render.cell_meshes import FlatMesh
-from phoslab.render.cell_shapes import centres_of, halve_parallelograms, halve_triangles, radii_of
+from phoslab.render.cell_shapes import halve_parallelograms, halve_triangles, radii_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -45,8 +45,8 @@ def add_cluster(forest: Forest, mesh: FlatMesh, of: Indices) -> None:
     if len(of) == 1:
         _add_part(forest, mesh, int(of[0]))
         return
-    corner, normal, sphere, error = _fit(mesh, of)
-    is_leaf = bool(sphere[3] <= forest.smallest and error < NEVER)
+    corner, normal, radius, error = _fit(mesh, of)
+    is_leaf = radius <= forest.smallest and error < NEVER
     at, first_leaf = forest.n, forest.n_leaves
     forest.n += 1
     skip, leaves = np.array([0.0]), np.array([[first_leaf, 0.0]])
@@ -54,7 +54,6 @@ def add_cluster(forest: Forest, mesh: FlatMesh, of: Indices) -> None:
         corners=corner[None],
         normals=normal[None],
         is_triangle=np.array([0.0]),
-        spheres=sphere[None],
         errors=np.array([error]),
         is_halved=np.array([0.0]),
         skip=skip,
@@ -68,7 +67,7 @@ def add_cluster(forest: Forest, mesh: FlatMesh, of: Indices) -> None:
                 forest, mesh.uv[of], mesh.is_triangle[of], np.full(len(of), first_leaf), mesh.density[of]
             )
     else:
-        one, other = _split(mesh, of, forest.smallest, float(sphere[3]))
+        one, other = _split(mesh, of, forest.smallest, radius)
         add_cluster(forest, mesh, one)
         add_cluster(forest, mesh, other)
     skip[0], leaves[0, 1] = forest.n, forest.n_leaves
@@ -84,15 +83,15 @@ def _split(mesh: FlatMesh, of: Indices, smallest: float, radius: float) -> tuple
     return of[order[:half]], of[order[half:]]
 
 
-def _fit(mesh: FlatMesh, of: Indices) -> tuple[Array, Array, Array, float]:
-    """Return the parallelogram (3, 3) that stands for triangles, its normal, sphere and error."""
+def _fit(mesh: FlatMesh, of: Indices) -> tuple[Array, Array, float, float]:
+    """Return the parallelogram (3, 3) that stands for triangles, its normal, the radius of all, and its error."""
     areas, points = mesh.areas[of], mesh.points(of)
     facing = areas @ mesh.normals[of]
     coherence = float(np.linalg.norm(facing) / areas.sum())
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    sphere = np.array([*middle, np.sqrt(np.max(np.sum((points - middle) ** 2, axis=1)))])
+    radius = float(np.sqrt(np.max(np.sum((points - middle) ** 2, axis=1))))
     if coherence < COHERENT:
-        return np.repeat(middle[None], 3, axis=0), np.array([0.0, 0.0, 1.0]), sphere, NEVER
+        return np.repeat(middle[None], 3, axis=0), np.array([0.0, 0.0, 1.0]), radius, NEVER
     normal = facing / np.linalg.norm(facing)
     centre = areas @ mesh.centres(of) / areas.sum()
     side = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
@@ -115,7 +114,7 @@ def _fit(mesh: FlatMesh, of: Indices) -> tuple[Array, Array, Array, float]:
     filled = min(1.0, coherence * float(areas.sum()) / box_area)
     rim = (1.0 - np.sqrt(filled)) * float(extent.max()) / 2
     error = float(np.abs(away @ normal).max()) + rim if filled >= FILLED else NEVER
-    return np.stack([corner, corner + u, corner + v]), normal, sphere, error
+    return np.stack([corner, corner + u, corner + v]), normal, radius, error
 
 
 def _add_part(forest: Forest, mesh: FlatMesh, part: int) -> None:
@@ -148,7 +147,6 @@ def _add_part(forest: Forest, mesh: FlatMesh, part: int) -> None:
         corners=every,
         normals=np.repeat(mesh.normals[part : part + 1], n, axis=0),
         is_triangle=shape.astype(np.float64),
-        spheres=np.concatenate([centres_of(every, shape), radii_of(every, shape)[:, None]], axis=1),
         errors=np.zeros(n),
         is_halved=(skip > forest.n + np.arange(n) + 1).astype(np.float64),
         skip=skip,

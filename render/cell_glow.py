@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phoslab.render.atlas_glow import AtlasGlow
 from phoslab.render.cell_light import CellLight
 from phoslab.render.cells import Cells, Patches
-from phoslab.render.device import LOOP_TURNS, Device, read_texture, set_uniforms
+from phoslab.render.device import LOOP_TURNS, Device, bind_buffers, read_texture, set_uniforms
 from phoslab.render.optics import layer_count
 from phoslab.render.passes import Picture
 
@@ -64,9 +64,7 @@ class CellGlow:
         """Return (m, 4 layers) what the fronts of the smallest cells give off, from what the atlases hold now."""
         for texels in self._lists:
             texels.glow.radiance.use(0)
-            texels.ends.bind_to_storage_buffer(0)
-            texels.texels.bind_to_storage_buffer(1)
-            self._leaf_radiances.bind_to_storage_buffer(2)
+            bind_buffers(texels.ends, texels.texels, self._leaf_radiances)
             set_uniforms(self._program, radiance=0, first=texels.first, count=texels.count)
             for part in range(0, texels.most, LOOP_TURNS):
                 set_uniforms(self._program, part=part)

@@ -37,8 +37,7 @@ class Cells:
         corners: (n, 3, 3) the corner and its two neighbours: of a triangle, or of a parallelogram.
         normals: (n, 3) to the outside.
         is_triangle: (n,).
-        spheres: (n, 4) centre and radius around all that a cell stands for.
-        errors: (n,) how far that reaches from the cell's plane; `NEVER` where it is no likeness.
+        errors: (n,) how far all that a cell stands for reaches from its plane; `NEVER` where it is no likeness.
         is_halved: (n,) whether it is made of two halves, which lie in its plane.
         skip: (n,) the index after a cell's last descendant.
         leaves: (n, 2) first and end of the smallest cells below, in their own count.
@@ -51,7 +50,6 @@ class Cells:
     corners: Array
     normals: Array
     is_triangle: NDArray[np.bool_]
-    spheres: Array
     errors: Array
     is_halved: NDArray[np.bool_]
     skip: Indices
@@ -190,7 +188,6 @@ def build_cells(drawables: Sequence[GpuDrawable], cell: float) -> Cells:
         corners=whole["corners"],
         normals=whole["normals"],
         is_triangle=whole["is_triangle"].astype(bool),
-        spheres=whole["spheres"],
         errors=whole["errors"],
         is_halved=whole["is_halved"].astype(bool),
         skip=whole["skip"].astype(np.intp),

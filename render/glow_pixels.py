@@ -38,8 +38,7 @@ class GlowPixels:
         self.light, self._spare = (device.texture_array((w, h), layers) for _ in range(2))
         self.nearness = device.buffer(np.full(w * h, FAR, dtype=np.float32))
         self.guide = device.buffer(np.zeros((w * h, 2), dtype=np.float32))
-        self._seen = {"SUPERSAMPLING": surroundings.supersampling}
-        self._defines = {**self._seen, "LAYERS": layers}
+        self._defines = {"SUPERSAMPLING": surroundings.supersampling, "LAYERS": layers}
         self._looks = {"AIMLESS": looks}
 
     def bind_receivers(self, shader: moderngl.ComputeShader) -> None:
@@ -58,10 +57,14 @@ class GlowPixels:
         for along in ((stride, 0), (0, stride)):
             self._swap(shader, along)
 
+    def share_shader(self, radius: int) -> moderngl.ComputeShader:
+        """Return the shader of `shares`: whoever asks outside of a scope keeps it for what is asked inside."""
+        return self._device.compute("glow_share", {**self._defines, **self._looks, "RADIUS": radius})
+
     def shares(self, radius: int) -> NDArray[np.float32]:
         """Return (h w,) how much of what the filter may add up it does, rows from the lowest on; 0: nothing is seen."""
         w, h = self._around.size
-        shader = self._device.compute("glow_share", {**self._seen, **self._looks, "RADIUS": radius})
+        shader = self.share_shader(radius)
         with self._device.scope():
             shares = self._device.buffer(np.zeros(w * h, dtype=np.float32))
             self.bind_receivers(shader)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import moderngl
 import numpy as np
 
-from phoslab.render.device import Device, set_uniforms
+from phoslab.render.device import Device, bind_buffers, set_uniforms
 
 CHUNK = 128  # values that one thread adds up
 BYTES = 8  # of a value: 64 bits, the low word first
@@ -44,8 +44,7 @@ def _run(
     n_chunks: int,
 ) -> None:
     shader = device.compute("prefix_sums", defines)
-    values.bind_to_storage_buffer(0)
     # A value is not its own chunk: where there is one chunk only, none is read.
-    chunks.bind_to_storage_buffer(1)
+    bind_buffers(values, chunks)
     set_uniforms(shader, count=n, has_chunks=n_chunks > 1)
     device.dispatch_items(shader, n_chunks)

@@ -14,7 +14,7 @@ from typing import ClassVar
 import moderngl
 import numpy as np
 
-from phoslab.render.device import Device, set_uniforms
+from phoslab.render.device import Device, bind_buffers, set_uniforms
 from phoslab.render.gpu_scene import GpuDrawable
 from phoslab.render.light_views import pack_lights, pack_spectra, views_of
 from phoslab.render.passes import Picture, false_grey
@@ -102,9 +102,7 @@ class ShadowMap:
         """Give `shader` the lights, each at its factor (0: off), and the shadows at texture unit `unit`."""
         if self._lights:
             self._light_buffer.write(pack_lights(self._lights, self.views, factors).tobytes())
-        self._light_buffer.bind_to_storage_buffer(0)
-        self._view_buffer.bind_to_storage_buffer(1)
-        self._spectra_buffer.bind_to_storage_buffer(2)
+        bind_buffers(self._light_buffer, self._view_buffer, self._spectra_buffer)
         self.sheet.use(unit)
         set_uniforms(
             shader, light_count=len(self._lights), shadow_sheet=unit, tiles_per_side=self.tiles_per_side

@@ -16,7 +16,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from phoslab.render.device import Device, set_uniforms
+from phoslab.render.device import Device, bind_buffers, set_uniforms
 from phoslab.render.glow_pixels import GlowPixels
 from phoslab.render.glow_transport import MOST_LEVELS, Surroundings
 from phoslab.render.prefix_sums import prefix_sums, sum_buffer
@@ -127,8 +127,7 @@ class ShellLevels:
         splats, count = sums, 0
         for fill in (False, True):
             shader = device.compute("shell_cull", {**defines, **({"FILL": 1} if fill else {})})
-            for k, buffer in enumerate((surfels.buffer, radiances, self._boxes, sums, splats)):
-                buffer.bind_to_storage_buffer(k)
+            bind_buffers(surfels.buffer, radiances, self._boxes, sums, splats)
             set_uniforms(
                 shader,
                 **{**self._camera, **uniforms},

@@ -13,7 +13,7 @@ import numpy as np
 
 from phoslab.render.atlas_geometry import AtlasGeometry
 from phoslab.render.atlas_glow import AtlasGlow
-from phoslab.render.device import Device, set_uniforms
+from phoslab.render.device import Device, bind_buffers, set_uniforms
 from phoslab.render.lit_cells import LitCells, cells_around
 from phoslab.render.optics import layer_count
 from phoslab.render.passes import Picture
@@ -77,8 +77,7 @@ class SurfelGlow:
             covered.build_mipmaps()
             covered.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
             covered.use(0)
-            self._surfels.buffer.bind_to_storage_buffer(0)
-            self.radiances.bind_to_storage_buffer(1)
+            bind_buffers(self._surfels.buffer, self.radiances)
             share = tuple(n / m for n, m in zip(atlas.size, covered.size[:2], strict=True))
             set_uniforms(read, covered=0, share=share, number=float(glow.drawable.number), count=count)
             device.dispatch_items(read, count)

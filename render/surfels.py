@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.render.device import Device, set_uniforms
+from phoslab.render.device import Device, bind_buffers, set_uniforms
 from phoslab.render.gltf import GltfCamera
 from phoslab.render.gpu_scene import GpuDrawable
 from phoslab.render.memory import check_room
@@ -142,8 +142,7 @@ def surfelize(
 
         def run(step: str, n: int, bound: Sequence[moderngl.Buffer], **uniforms: int) -> None:
             shader = device.compute("surfelize", {**defines, "STEP": step})
-            for k, buffer in enumerate(bound):
-                buffer.bind_to_storage_buffer(k)
+            bind_buffers(*bound)
             set_uniforms(shader, count=n, **view.uniforms, **uniforms)
             device.dispatch_items(shader, n)
 
@@ -180,9 +179,7 @@ def _gather_triangles(
     for drawable in drawables:
         count = len(drawable.geometry.triangles)
         attributes = drawable.mesh.attributes
-        bound = (attributes["position"][0], attributes["atlas_uv"][0], drawable.mesh.indices, triangles)
-        for k, buffer in enumerate(bound):
-            buffer.bind_to_storage_buffer(k)
+        bind_buffers(attributes["position"][0], attributes["atlas_uv"][0], drawable.mesh.indices, triangles)
         set_uniforms(
             shader,
             to_surfels=extent.from_world @ drawable.drawable.model_to_world,

@@ -96,6 +96,9 @@ class Tiles:
         # Built before the scope, so that they outlive it: while things move, this is done for every picture.
         for looks in filter(None, (self._looks, self._more)):
             self._hit_shader(looks)
+        p = self._parameters
+        if self._more is not None:
+            self._pixels.share_shader(p.filter_px)
         self._group_shader = self._program("tile_groups", "SUPERSAMPLING")
         self._guide_shaders = (
             self._program("tile_guide", "DIRECTIONS", looks=self._looks),
@@ -106,7 +109,6 @@ class Tiles:
         with self._device.scope():
             groups = self._device.buffer(np.zeros((n_groups, GROUP_FLOATS), dtype=np.float32))
             self._bound_groups(groups)
-            p = self._parameters
             tree = CellTree(self._device, self.cells, detail=p.detail, sends_on=p.sends_on)
             corners = self._device.buffer(self.cells.aims())
             seen = (tree, groups, *self._choose_aims(tree, groups, n_groups, corners), corners)

@@ -67,7 +67,8 @@ def run(args: argparse.Namespace) -> int:
         if args.out is not None:
             print(f"The plan: {args.out}")
     if wrong:
-        raise PhoslabError(wrong.problem, file=args.plan, remedy=wrong.remedy)
+        with found_in(args.plan):
+            raise wrong
     return 0
 
 

@@ -54,7 +54,7 @@ class Costs:
 
     def shares_s(self, choices: Choices, work: Work) -> dict[str, float]:
         """Return the predicted time in s by the decision that it follows from; "start" is that of none."""
-        shares = dict.fromkeys(dict.fromkeys(_DECIDES.values()), 0.0)
+        shares = dict.fromkeys(_DECIDES.values(), 0.0)
         for name, count in features(choices, work).items():
             shares[_DECIDES[name]] += self.costs_s.get(name, 0.0) * count
         alike = [m for m in self.gi if m.method == choices.gi["method"]]
@@ -81,7 +81,7 @@ def load_costs(path: str | PathLike[str] | None = None) -> Costs:
     return Costs(
         texel_error=data["texels"]["error"],
         texel_power=data["texels"]["power"],
-        gi=tuple(_way(way, data["gi"].index(way), path) for way in data["gi"]),
+        gi=tuple(_way(way, k, path) for k, way in enumerate(data["gi"])),
         path_noise=data["path_noise"],
         costs_s={**data["costs_s"], **_of_paths(data)},
     )

@@ -47,12 +47,11 @@ def steps(pilot: Pilot) -> list[Stepped]:
     if schedule.piecewise_constant or end_s == 0 or not pilot.sampled:
         return [Stepped("exact", FRAME_S, len(step_ends(schedule, end_s)) if end_s else 0, 0.0)]
     found, n = [], FEWEST_STEPS
-    coarse = _glow(pilot, n)
+    coarse = _glow(pilot, step_ends(schedule, end_s, n))
     while n < MOST_STEPS:
-        fine = _glow(pilot, 2 * n)
-        difference = np.abs(coarse - fine).sum(axis=(1, 2)) / np.maximum(fine.sum(axis=(1, 2)), 1e-300)
+        fine = _glow(pilot, step_ends(schedule, end_s, 2 * n))
         # Second order: what is left after halving is a third of what halving changed; the whole, four thirds.
-        found.append(Stepped("exact2", end_s / n, n, float(4 / 3 * difference.max())))
+        found.append(Stepped("exact2", end_s / n, n, 4 / 3 * _off(coarse, fine)))
         if found[-1].error < 1e-5:
             break
         coarse, n = fine, 2 * n
@@ -74,15 +73,16 @@ def judged(pilot: Pilot, known: Sequence[Stepped], solver: str, step_s: float) -
     # A longer step than the plan's errs more, not less; Euler's own is then taken in as many parts as it bears.
     tried_s = max(step_s, end_s / MOST_TRIED[solver])
     step = STEPS["substep" if solver == "euler" and tried_s > step_s else solver]
-    edges = np.union1d(step_ends(schedule, end_s, 1), np.arange(1, int(end_s / tried_s) + 1) * tried_s)
-    right, found = _glow(pilot, known[-1].steps), _glow(pilot, 0, edges, step)
-    difference = np.abs(found - right).sum(axis=(1, 2)) / np.maximum(right.sum(axis=(1, 2)), 1e-300)
-    return Stepped(solver, step_s, int(np.ceil(end_s / step_s)), known[-1].error + float(difference.max()))
+    ends = np.union1d(step_ends(schedule, end_s, 1), np.arange(1, int(end_s / tried_s) + 1) * tried_s)
+    right = _glow(pilot, step_ends(schedule, end_s, known[-1].steps))
+    error = known[-1].error + _off(_glow(pilot, ends, step), right)
+    return Stepped(solver, step_s, int(np.ceil(end_s / step_s)), error)
 
 
 def _check_step(pilot: Pilot, solver: str, step_s: float) -> None:
-    largest = np.array([course.largest for course in pilot.scene.schedule.courses.values()])
+    courses = pilot.scene.schedule.courses
     for k, sampled in pilot.sampled.items():
+        largest = np.array([courses[name].largest for name in sampled.drive.names])
         a = np.einsum(
             "nl,nlc,l->nc", sampled.drive.factors, per_light(sampled.ke_width, pilot.scene), largest
         )
@@ -96,15 +96,18 @@ def _check_step(pilot: Pilot, solver: str, step_s: float) -> None:
             ) from error
 
 
-def _glow(
-    pilot: Pilot, n: int, edges: Array | None = None, solver: Step = STEPS["exact2"]
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Return (T, points, 3) the glow of a few points with n steps in all, or with those that end at `edges`."""
+def _off(found: Array, right: Array) -> float:
+    """Return by which share of itself (T, points, 3) glow is off, at the worst moment."""
+    difference = np.abs(found - right).sum(axis=(1, 2)) / np.maximum(right.sum(axis=(1, 2)), 1e-300)
+    return float(difference.max())
+
+
+def _glow(pilot: Pilot, ends: Array, solver: Step = STEPS["exact2"]) -> Array:
+    """Return (T, points, 3) the glow of a few points, in steps that end at `ends`."""
     scene, parts = pilot.scene, []
     for sampled in pilot.sampled.values():
         some = np.unique(np.linspace(0, len(sampled.kr) - 1, POINTS).astype(int))
         drive = type(sampled.drive)(sampled.drive.factors[some], sampled.drive.names)
-        ends = step_ends(scene.schedule, float(pilot.moments[-1]), n) if edges is None else edges
         per = per_light(sampled.ke_width[some], scene)
         r = charged(
             scene.schedule,
