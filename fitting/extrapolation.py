@@ -3,8 +3,9 @@
 Every decay that only falls, and falls ever more slowly, is a sum of exponentials with non-negative amplitudes
 (Bernstein). The band at a time is the least and the largest value that any such sum takes there while it fits the
 data not worse than the best by more than chance. With the rates on a fine grid that is a convex problem: χ² as a
-function of the value asked for, by non-negative least squares. A fitted offset counts as known: nothing tells a
-constant light of the sample from one of the room.
+function of the value asked for, by non-negative least squares. Where an offset was fitted, a constant light is taken to
+be the room's for the lower end and the sample's for the upper one: nothing in the data tells which. Only a fit without
+offset says that there is no light but the sample's.
 """
 
 from __future__ import annotations
@@ -33,9 +34,11 @@ class Beyond:
 
     Args:
         t_s: when.
-        value: (n_channels,) the fit continued, offset left out; NaN where it misses the data.
+        value: (n_channels,) the fit continued, offset left out; NaN where it misses the data, or lies beyond them and
+            below the offset, which may be glow as well.
         low, high: (n_channels,) the band of 95 %.
         inside: whether the time lies within the data.
+        constant: whether a fitted constant counts as no glow for `low`, and as glow for `high`.
     """
 
     t_s: float
@@ -43,6 +46,7 @@ class Beyond:
     low: Array
     high: Array
     inside: bool
+    constant: bool
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as JSON takes it."""
@@ -55,7 +59,12 @@ def lines(beyonds: Sequence[Beyond], channels: Sequence[str]) -> list[str]:
     """Return them as text for people, one line each and one above."""
     if not beyonds:
         return []
-    text = ["[[at other times: the glow without an offset, and the band of 95 % that the data allow]]"]
+    constant = beyonds[0].constant
+    text = [
+        "[[at other times: the glow without its constant, and the band of 95 %, whose upper end counts it as glow]]"
+        if constant
+        else "[[at other times: the glow, and the band of 95 % that the data allow]]"
+    ]
     for b in beyonds:
         cells = ", ".join(
             f"{c} {f'{v:.4g}' if np.isfinite(v) else 'not told by the fit'} ({lo:.3g} .. {hi:.3g})"
@@ -66,18 +75,30 @@ def lines(beyonds: Sequence[Beyond], channels: Sequence[str]) -> list[str]:
 
 
 def warnings(beyonds: Sequence[Beyond], end_s: float) -> list[str]:
-    """Return a sentence on each that lies beyond the data, which end at `end_s`."""
-    beyond = [
-        f"extrapolated: {b.t_s:g} s lies beyond the data, which end at {end_s:.4g} s; only the band is supported."
-        for b in beyonds
-        if not b.inside
-    ]
-    outside = [
-        f"not-told: at {b.t_s:g} s the fit misses the data, or leaves the band that they allow: its value is left out."
-        for b in beyonds
-        if not np.isfinite(b.value).all()
-    ]
-    return beyond + outside
+    """Return sentences on those beyond the data, which end at `end_s`, without a value, and with a constant."""
+    said = []
+    if far := [b.t_s for b in beyonds if not b.inside]:
+        lie = "lies" if len(far) == 1 else "lie"
+        said.append(
+            f"extrapolated: {_times(far)} {lie} beyond the data, which end at {end_s:.4g} s; only the "
+            "band is supported."
+        )
+    if untold := [b.t_s for b in beyonds if not np.isfinite(b.value).all()]:
+        said.append(
+            f"not-told: at {_times(untold)} the fit misses the data, leaves the band that they allow, or says less "
+            "than its own constant, which may be glow as well: its value is left out."
+        )
+    if any(b.constant for b in beyonds):
+        said.append(
+            "constant-or-glow: a constant was fitted, and nothing in these data tells light of the room from glow "
+            "that is too slow to be seen falling: at other times anything from none of the constant to all "
+            "of it may be glow. Measure the reading without the sample, subtract it, and fit with --offset none."
+        )
+    return said
+
+
+def _times(times_s: Sequence[float]) -> str:
+    return ", ".join(f"{t:g} s" for t in times_s)
 
 
 def beyond(fit: DecayFit, t_s: float) -> Beyond:
@@ -96,11 +117,20 @@ def beyond(fit: DecayFit, t_s: float) -> Beyond:
     for c in range(len(value)):
         used = data.used[:, c]
         w = 1 / data.total_sigma[used, c]
-        phi, y = w[:, None] * g[used], w * (data.signal[used, c] - fit.offset[c])
-        ends[:, c] = _extremes(phi, y, at, fit)
+        # A negative constant is no light: it is taken off. Of the room's light there is any amount from none on.
+        phi, y = w[:, None] * g[used], w * (data.signal[used, c] - min(float(fit.offset[c]), 0.0))
+        room = fit.has_offset and fit.offset[c] > 0
+        ends[:, c] = (
+            _extremes(np.column_stack([phi, w]), y, np.append(at, 0.0), fit)
+            if room
+            else _extremes(phi, y, at, fit)
+        )
     # A fit that misses the data says what no course through them does.
     held = (value >= ends[0] * (1 - _EDGE)) & (value <= ends[1] * (1 + _EDGE))
-    return Beyond(t_s, np.where(held, value, np.nan), ends[0], ends[1], t_s <= data.end_s)
+    constant = bool(fit.has_offset and (fit.offset > 0).any())
+    inside = t_s <= data.end_s
+    told = held & (inside | (value >= fit.offset))
+    return Beyond(t_s, np.where(told, value, np.nan), ends[0], ends[1], inside, constant)
 
 
 def _extremes(phi: Array, y: Array, at: Array, fit: DecayFit) -> tuple[float, float]:

@@ -61,8 +61,11 @@ class _Profile:
 
     def rise(self, value: float) -> float:
         """Return the root of chi² above the fit's with the rate held at `value`."""
-        chi2, self.warm = _constrained(self.stated, self.warm, self.index, value)
-        return float(np.sqrt(max(0.0, chi2 - self.fit.chi2)))
+        chi2, found = _constrained(self.stated, self.warm, self.index, value)
+        rise = float(np.sqrt(max(0.0, chi2 - self.fit.chi2)))
+        if rise <= self.height:  # from far outside there may be no way back to the valley of the fit
+            self.warm = found
+        return rise
 
     def end(self, sign: int) -> float:
         """Return the log rate at which the interval ends, below (-1) or above (1); infinite where it is open."""

@@ -35,6 +35,49 @@ class Run:
     worst: int
 
 
+@dataclass(frozen=True)
+class Miss:
+    """How far a value is missed, as a share of it.
+
+    Args:
+        channel: its name.
+        t_s: when.
+        share: of the value.
+    """
+
+    channel: str
+    t_s: float
+    share: float
+
+
+def worst_miss(
+    fit: DecayFit, course: Array, valid_s: tuple[float, float], *, sigma_given: bool
+) -> Miss | None:
+    """Return the well-measured value within `valid_s` that is missed by the largest share of it, if there is any.
+
+    Args:
+        course: (n, n_channels) what a model says.
+    """
+    data = fit.data
+    worst = None
+    for c, channel in enumerate(data.channels):
+        for k in np.flatnonzero(data.used[:, c])[_well_measured(fit, c, sigma_given=sigma_given)]:
+            share = abs(float(course[k, c] / data.signal[k, c] - 1))
+            if valid_s[0] <= data.t_s[k] <= valid_s[1] and (worst is None or share > worst.share):
+                worst = Miss(channel, float(data.t_s[k]), share)
+    return worst
+
+
+def _well_measured(fit: DecayFit, channel: int, *, sigma_given: bool) -> NDArray[np.bool_]:
+    """Return which used values of a channel stand out of the noise: by their σ, or by the course that they lie on."""
+    data = fit.data
+    frames = np.flatnonzero(data.used[:, channel])
+    values = data.signal[frames, channel]
+    if sigma_given:
+        return np.asarray(values > _SIGMAS * data.sigma[frames, channel])
+    return _smooth(data.t_s[frames], values)
+
+
 def missed(fit: DecayFit, *, sigma_given: bool) -> list[Run]:
     """Return the runs of values that the fit misses by more than half of themselves though they are well measured.
 
@@ -46,7 +89,7 @@ def missed(fit: DecayFit, *, sigma_given: bool) -> list[Run]:
     for c in range(len(data.channels)):
         frames = np.flatnonzero(data.used[:, c])
         values, told = data.signal[frames, c], model[frames, c]
-        known = values > _SIGMAS * data.sigma[frames, c] if sigma_given else _smooth(data.t_s[frames], values)
+        known = _well_measured(fit, c, sigma_given=sigma_given)
         off = np.abs(values - told)
         bad = known & (off > _SHARE * np.abs(values))
         if sigma_given:

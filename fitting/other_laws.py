@@ -28,12 +28,14 @@ class OtherLaw:
     Args:
         name: of the law.
         parameters: by name.
+        undetermined: names of those that the values do not tell to within a factor of e.
         chi2, aicc: to compare with the exponentials'.
         course: (n, n_channels) the modelled signal.
     """
 
     name: str
     parameters: dict[str, float]
+    undetermined: frozenset[str]
     chi2: float
     aicc: float
     course: Array
@@ -103,4 +105,6 @@ def fit_law(data: DecayData, name: str, near: OtherLaw | None = None) -> OtherLa
     aicc = best.chi2 + 2 * p + 2 * p * (p + 1) / (n - p - 1)
     values = dict(zip(names, np.exp(best.theta).tolist(), strict=True))
     course = (law(best.theta, inside)[0] @ _WEIGHTS / 2)[:, None] * best.linear[:, 0]
-    return OtherLaw(name, values, best.chi2, aicc, course)
+    error = np.sqrt(np.diag(varpro.covariance(basis, best))[: len(names)] * max(1.0, best.chi2 / (n - p)))
+    unknown = frozenset(n for n, e in zip(names, error, strict=True) if not e < 1)
+    return OtherLaw(name, values, unknown, best.chi2, aicc, course)

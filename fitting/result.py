@@ -107,13 +107,13 @@ class FitResult:
         ]
         for i in range(fit.n_states):
             lines.append(
-                f"  kr[{i}] [1/s]           {_with_share(fit.kr_per_s[i], fit.kr_standard_error[i])}"
+                f"  kr[{i + 1}] [1/s]           {_with_share(fit.kr_per_s[i], fit.kr_standard_error[i])}"
                 f", 95 % in {self.interval95[i, 0]:.4g} .. {self.interval95[i, 1]:.4g}"
                 f"   (lifetime {1 / fit.kr_per_s[i]:.4g} s)"
             )
         for i in range(fit.n_states):
             lines.append(
-                f"  A[{i}] [signal]         {_with_share(fit.strength[i], fit.strength_standard_error[i])}"
+                f"  A[{i + 1}] [signal]         {_with_share(fit.strength[i], fit.strength_standard_error[i])}"
             )
         lines.append(
             "  colour                  "

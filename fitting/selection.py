@@ -1,9 +1,9 @@
 """How many exponentials the data carry, by four criteria of which one decides and all are shown.
 
-The choice is the smallest model that no larger one which contains it (a state more, an offset more) beats by more
-than chance, at 1 in 200 (F-test; chi² test where σ is known). Offsets are among the models because an offset that
-nobody modelled looks like one more, endlessly slow state. AICc, BIC and
-cross-validation stand beside it; where one of them would choose otherwise, that is said.
+The choice is the smallest model that no larger one which contains it (a state more, an offset more, a state in place of
+the offset, which is one that never falls) beats by more than chance, at 1 in 200 (F-test; chi² test where σ is known).
+Offsets are among the models because an offset that nobody modelled looks like one more, endlessly slow state. AICc, BIC
+and cross-validation stand beside it; where one of them would choose otherwise, that is said.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from phoslab.fitting.decay_data import DecayData
 # A state more must be this unlikely to be chance.
 SIGNIFICANCE = 0.005
 _FOLDS = 5
+_LEAST_DOF = 2
 # Enough states to follow any decay, few enough to leave scatter.
 _PILOT_STATES = 3
 _LEAST_SCATTER = 0.1
@@ -99,7 +100,8 @@ def select(
     for n_states in states:
         for offset in offsets:
             n_parameters = decay_problem.n_parameters(data, n_states, offset=offset, rank_one=rank_one)
-            if data.n_values < n_parameters + int(bool(fits)):
+            # AICc needs two values more than parameters; with fewer, nothing tells a candidate from another.
+            if data.n_values < n_parameters + (_LEAST_DOF if fits else 0):
                 continue
             fits[n_states, offset] = fit_decay(data, n_states, offset=offset, rank_one=rank_one, polish=False)
     if not fits:
@@ -173,8 +175,8 @@ def _decide(candidates: Sequence[Candidate], sigma_known: bool, approximate: boo
             c
             for c in ladder
             if c.fit.n_parameters > here.fit.n_parameters
+            and c.n_states + c.fit.has_offset >= here.n_states + here.fit.has_offset
             and c.n_states >= here.n_states
-            and c.fit.has_offset >= here.fit.has_offset
         ]
         chances = (chance(here.fit, c.fit, sigma_known=sigma_known, approximate=approximate) for c in larger)
         if all(p >= SIGNIFICANCE for p in chances):

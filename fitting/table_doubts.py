@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phoslab.fitting import decay
 from phoslab.fitting.decay import DecayFit, fit_decay
-from phoslab.fitting.missed import Run
+from phoslab.fitting.missed import Miss, Run
 from phoslab.fitting.other_laws import OtherLaw
 from phoslab.fitting.selection import Selection, chance, select
 from phoslab.fitting.table_noise import Noise
@@ -22,19 +22,28 @@ _FEW_DOF = 10
 _AS_GOOD = 0.05
 # A law is said to fit better if AICc is less by this.
 _BETTER = 2.0
+# What is as usual, and good to know; everything else spoils something.
+_USUAL = ("sigma-estimated", "criteria-disagree", "unsorted", "repeated-times", "extrapolated")
+
+
+def usual(flag: str) -> bool:
+    """Whether a sentence tells what is as usual, not what spoils the fit."""
+    return flag.partition(":")[0] in _USUAL
 
 
 def of_noise(found: Noise) -> str:
     """Say where σ come from, and what χ² is worth then."""
     worth = (
-        "χ² / dof tells how much worse the exponentials do."
+        "χ² / dof of the exponentials tells how much worse than that law they do."
         if found.own
         else "χ² / dof is 1 by construction and does not tell whether the fit is good."
     )
     return f"sigma-estimated: the table gives no σ; they were {found.said}. {worth}"
 
 
-def of_fit(fit: DecayFit, selection: Selection, *, auto: bool, sigma_known: bool) -> list[str]:
+def of_fit(
+    fit: DecayFit, selection: Selection, worst: Miss | None, *, auto: bool, sigma_known: bool
+) -> list[str]:
     """Say what about the choice and the fit as a whole should not be believed."""
     flags = []
     if fit.degenerate and fit.n_states > 1:
@@ -43,18 +52,19 @@ def of_fit(fit: DecayFit, selection: Selection, *, auto: bool, sigma_known: bool
             "no amplitude, two have the same rate, or one is as constant as the offset."
         )
     if auto and selection.dissent:
-        votes = ", ".join(f"{name} {vote.n_states}" for name, vote in selection.votes.items())
-        flags.append(f"criteria-disagree: on the number of states ({votes}); the F-test decides.")
+        flags.append(f"criteria-disagree: on the number of states ({votes(selection)}); the F-test decides.")
     if fit.has_offset:
-        worst = float(np.max(np.abs(fit.offset) / np.abs(fit.data.signal).max(axis=0)))
+        share = float(np.max(np.abs(fit.offset) / np.abs(fit.data.signal).max(axis=0)))
         flags.append(
-            f"offset: a constant of up to {worst:.2g} of the peak was fitted: stray light, a dark value that was not "
-            "taken off, or a state too slow to be seen falling."
+            f"offset: a constant of up to {100 * share:.2g} % of the largest value was fitted: stray light, a dark "
+            "value that was not taken off, or a state too slow to be seen falling."
         )
     if sigma_known and decay.misfit(fit.chi2, fit.dof) > 1:
+        by = "" if worst is None else f", by up to {worst.share:.0%} at {worst.t_s:.4g} s"
         flags.append(
-            f"misfit: χ² / dof is {fit.chi2 / fit.dof:.3g}: the model misses the data by more than their σ. "
-            "Standard errors and intervals are widened by its root."
+            f"misfit: the fit misses the values by more than noise{by} (χ² / dof is {fit.chi2 / fit.dof:.3g}; 1 is "
+            "right): they are no sum of so few exponentials. Rates and their errors, widened by the root of that, tell "
+            "of the curve that comes nearest."
         )
     if 0 < fit.dof < _FEW_DOF:
         flags.append(
@@ -64,6 +74,14 @@ def of_fit(fit: DecayFit, selection: Selection, *, auto: bool, sigma_known: bool
     if fit.dof <= 0:
         flags.append("no-dof: as many parameters as values: nothing is left to tell how good the fit is.")
     return flags
+
+
+def votes(selection: Selection) -> str:
+    """Return what each criterion would choose."""
+    return ", ".join(
+        f"{name} {vote.n_states}{' and an offset' if vote.fit.has_offset else ''}"
+        for name, vote in selection.votes.items()
+    )
 
 
 def too_many_states(fit: DecayFit, offsets: Sequence[bool], **tested: bool) -> str | None:
@@ -97,25 +115,33 @@ def of_rates(fit: DecayFit, interval: Array, *, too_many: bool) -> list[str]:
         too_many: whether a state less fits as well.
     """
     flags = []
+    # Two values a parameter, and two to judge by.
+    needed = 2 * (2 * fit.n_states + int(fit.has_offset)) + 2
     for i, (low, high) in enumerate(interval):
         if low <= 0 and not np.isfinite(high):
-            flags.append(f"rate-undetermined: any value of kr[{i}] fits as well.")
+            flags.append(
+                f"rate-undetermined: no rate of state {i + 1} is excluded by {fit.data.n_values} values. Take "
+                f"{needed} readings or more a channel, some of them in each tenfold of the light's fall."
+            )
         elif not np.isfinite(high):
             flags.append(
-                f"rate-open: kr[{i}] has no upper limit: what falls so fast is over before the second value, or its "
-                "state may be absent."
+                f"rate-open: the rate of state {i + 1} has no upper limit: what falls so fast is over before the "
+                "second value, or it may be absent."
             )
         elif low <= 0 and too_many:
-            flags.append(f"rate-open: kr[{i}] may be 0: its state may be absent, others take its place.")
+            flags.append(
+                f"rate-open: the rate of state {i + 1} may be 0: it may be absent, others take its place."
+            )
         elif low <= 0:
             flags.append(
-                f"rate-open: kr[{i}] may be 0: a constant in place of its state fits as well, since too little of its "
-                "fall is seen."
+                f"rate-open: the rate of state {i + 1} may be 0: a constant in its place fits as well, since too "
+                "little of its fall is seen."
             )
     for i in range(fit.n_states - 1):
         if interval[i, 0] < interval[i + 1, 1]:
             flags.append(
-                f"rates-overlap: the intervals of kr[{i}] and kr[{i + 1}] overlap: the data hardly tell them apart."
+                f"rates-overlap: the intervals of the rates of states {i + 1} and {i + 2} overlap: the data hardly "
+                "tell them apart."
             )
     return flags
 
@@ -142,10 +168,26 @@ def of_run(fit: DecayFit, run: Run, estimated: Noise | None) -> str:
     )
 
 
-def of_laws(fit: DecayFit, laws: Sequence[OtherLaw]) -> list[str]:
-    """Name the laws that fit better than the exponentials."""
+def better_laws(fit: DecayFit, laws: Sequence[OtherLaw]) -> list[OtherLaw]:
+    """Return the laws that fit better than the exponentials, the best first; none where AICc tells nothing."""
+    better = [law for law in laws if law.aicc < fit.aicc - _BETTER and np.isfinite(fit.aicc)]
+    return sorted(better, key=lambda law: law.aicc)
+
+
+def of_laws(laws: Sequence[OtherLaw], exponentials: Miss | None, best: Miss | None) -> list[str]:
+    """Say in one sentence that other laws fit better.
+
+    Args:
+        laws: that do, the best first.
+        exponentials, best: what these and the best law miss most.
+    """
+    if not laws:
+        return []
+    by = ""
+    if exponentials is not None and best is not None and best.share < exponentials.share:
+        most = f"{best.share:.0%} (the exponentials {exponentials.share:.0%})"
+        by = f", which misses no well-measured value by more than {most}"
     return [
-        f"other-law: a {law.name} law fits better (AICc {law.aicc:.4g} against {fit.aicc:.4g}): do not extrapolate."
-        for law in laws
-        if law.aicc < fit.aicc - _BETTER
+        f"other-law: a {laws[0].name} law describes the values better{by}. Within the times measured the exponentials "
+        "stand in for it; beyond them they are not to be trusted."
     ]

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting import decay_problem, extrapolation, noise, table_doubts
+from phoslab.fitting import decay, decay_problem, extrapolation, noise, table_doubts
 from phoslab.fitting.decay import MOST_STATES, DecayFit, fit_decay
 from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.extrapolation import Beyond
 from phoslab.fitting.intervals import bootstrap_intervals, rate_intervals
-from phoslab.fitting.missed import missed, valid_times
+from phoslab.fitting.missed import Miss, missed, valid_times, worst_miss
 from phoslab.fitting.other_laws import OtherLaw, fit_other_laws
 from phoslab.fitting.screening import Screened, clipped_start, screen
 from phoslab.fitting.selection import Selection, select
@@ -41,8 +41,11 @@ class TableFit:
         bootstrap95: the same by parametric bootstrap, or None.
         sigma: "given", or "estimated" with the law that was found.
         scaled: whether σ were scaled to what this fit misses: chi2 / dof is then 1 by construction.
+        scaled_to_law: whether σ were scaled to what Becquerel's law misses: that of its chi2 / dof is then 1.
         other_laws: stretched exponential and Becquerel.
+        better_laws: those of them that fit better than the exponentials, the best first.
         valid_s: the times that the data support.
+        worst_miss: the well-measured value within these that the fit misses by the largest share; None without any.
         extrapolated: at the times asked for.
         flags: "code: sentence" each.
         lost: channels left out, with the reason.
@@ -54,11 +57,19 @@ class TableFit:
     bootstrap95: Array | None
     sigma: str
     scaled: bool
+    scaled_to_law: bool
     other_laws: tuple[OtherLaw, ...]
+    better_laws: tuple[OtherLaw, ...]
     valid_s: tuple[float, float]
+    worst_miss: Miss | None
     extrapolated: tuple[Beyond, ...]
     flags: tuple[str, ...]
     lost: dict[str, str]
+
+    @property
+    def misses(self) -> bool:
+        """Whether the data are no sum of so few exponentials: then there is no true rate to bracket."""
+        return bool(self.better_laws) or decay.misfit(self.fit.chi2, self.fit.dof) > 1
 
     @property
     def amplitude_standard_error(self) -> Array:
@@ -91,6 +102,7 @@ class TableFit:
             "sigma": self.sigma,
             "chi2_by_construction": self.scaled,
             "valid_s": list(self.valid_s),
+            "worst_miss": None if self.worst_miss is None else vars(self.worst_miss),
             "selection": {
                 "candidates": [
                     {
@@ -110,7 +122,13 @@ class TableFit:
                 "choice": fit.n_states,
             },
             "other_laws": [
-                {"law": o.name, **o.parameters, "chi2": o.chi2, "AICc": o.aicc} for o in self.other_laws
+                {
+                    "law": o.name,
+                    **{k: None if k in o.undetermined else v for k, v in o.parameters.items()},
+                    "chi2": o.chi2,
+                    "AICc": o.aicc,
+                }
+                for o in self.other_laws
             ],
             "extrapolated": [b.to_dict() for b in self.extrapolated],
             "lost": self.lost,
@@ -188,16 +206,22 @@ def fit_screened(
     selection = select(data, states=numbers, offsets=offsets, **tested)
     chosen = selection.chosen.fit
     fit = _final(data, chosen, chosen.n_states, known)
-    flags += table_doubts.of_fit(fit, selection, auto=states == "auto", sigma_known=known)
+    runs = missed(fit, sigma_given=screened.sigma_given)
+    valid = valid_times(fit, runs)
+
+    def worst(course: Array) -> Miss | None:
+        return worst_miss(fit, course, valid, sigma_given=screened.sigma_given)
+
+    told = worst(fit.predict(fit.data.t_s, fit.data.exposure_s))
+    flags += table_doubts.of_fit(fit, selection, told, auto=states == "auto", sigma_known=known)
     spare = None if states == "auto" else table_doubts.too_many_states(fit, offsets, **tested)
     flags += [spare] if spare else []
     interval = rate_intervals(fit, sigma_known=known)
     flags += table_doubts.of_rates(fit, interval, too_many=spare is not None)
-    runs = missed(fit, sigma_given=screened.sigma_given)
     flags += [table_doubts.of_run(fit, run, estimated) for run in runs]
     other = fit_other_laws(fit.data)
-    flags += table_doubts.of_laws(fit, other)
-    valid = valid_times(fit, runs)
+    better = table_doubts.better_laws(fit, other)
+    flags += table_doubts.of_laws(better, told, worst(better[0].course) if better else None)
     beyonds = tuple(
         b if not runs or valid[0] <= b.t_s <= valid[1] else replace(b, value=np.full_like(b.value, np.nan))
         for b in (extrapolation.beyond(fit, t) for t in extrapolate_s)
@@ -210,8 +234,11 @@ def fit_screened(
         bootstrap95=bootstrap_intervals(fit, bootstrap, seed) if bootstrap else None,
         sigma=said,
         scaled=not known,
+        scaled_to_law=estimated is not None and estimated.own,
         other_laws=tuple(other),
+        better_laws=tuple(better),
         valid_s=valid,
+        worst_miss=told,
         extrapolated=beyonds,
         flags=tuple(flags),
         lost=screened.lost,

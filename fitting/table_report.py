@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from phoslab.fitting import extrapolation
+from phoslab.fitting import extrapolation, table_doubts
+from phoslab.fitting.other_laws import OtherLaw
 from phoslab.fitting.table_fit import TableFit
 
 
@@ -17,19 +18,20 @@ def report(result: TableFit, name: str) -> str:
         f"  values used             {data.n_values} of {data.sigma.size}, {data.t_s[0]:.4g} s to {data.end_s:.4g} s",
         f"  σ                       {result.sigma}",
         f"  χ² / dof                {misfit(result)}",
-        f"  valid                   from {result.valid_s[0]:.4g} s to {result.valid_s[1]:.4g} s after lamp-off",
+        f"  valid                   {valid(result)}",
         "[[parameters]]",
     ]
-    for i, kr in enumerate(fit.kr_per_s):
-        error = float(fit.kr_standard_error[i])
+    for i in range(fit.n_states):
         lines.append(
-            f"  kr[{i}] [1/s]             {with_error(float(kr), error, share=True)}"
+            f"  kr[{i + 1}] [1/s]             {rate(result, i)}"
             f"   95 %: {interval(result, i)}   lifetime {lifetime(result, i)}"
         )
         if result.bootstrap95 is not None:
             b = result.bootstrap95[i]
             lines.append(f"                          bootstrap 95 %: {b[0]:.4g} .. {b[1]:.4g}")
-    lines.append("[[amplitudes at t = 0, in the table's unit]]")
+    if result.misses:
+        lines.append("  (no bounds of true rates, since the model misses the data: of the nearest curve's)")
+    lines.append(f"[[amplitudes at t = 0{extrapolated_back(result)}, in the table's unit]]")
     for k, channel in enumerate(data.channels):
         for label, value in linear(result, k).items():
             lines.append(f"  {channel + ' ' + label:24}{value}")
@@ -42,19 +44,22 @@ def report(result: TableFit, name: str) -> str:
         )
         lines.append(
             f"  {c.n_states:>6} {'yes' if c.fit.has_offset else 'no':>6} {c.fit.chi2:>12.5g} {c.fit.dof:>5}"
-            f" {c.fit.aicc:>10.5g} {c.fit.bic:>10.5g} {by_chance(c.f_test):>9} {cv:>17}{marks}"
+            f" {criterion(c.fit.aicc):>10} {criterion(c.fit.bic):>10} {by_chance(c.f_test):>9} {cv:>17}{marks}"
         )
-    votes = ", ".join(f"{k} {v.n_states}" for k, v in result.selection.votes.items())
-    lines.append(f"  would choose: {votes}. The F-test decides.")
+    lines.append(f"  {choice(result)}")
     if result.other_laws:
         lines.append("[[other laws, as a diagnosis; they cannot be simulated under changing light]]")
         for o in result.other_laws:
-            values = ", ".join(f"{k} = {v:.4g}" for k, v in o.parameters.items())
-            lines.append(f"  {o.name:22}  {values}   χ² {o.chi2:.5g}, AICc {o.aicc:.5g}")
+            lines.append(f"  {o.name:22}  {law_parameters(o)}   χ² {o.chi2:.5g}, AICc {o.aicc:.5g}")
+        if result.scaled_to_law:
+            lines.append(
+                "  (σ were scaled to Becquerel's law, so that its χ² equals its dof by construction)"
+            )
     lines += extrapolation.lines(result.extrapolated, data.channels)
-    if result.flags:
-        lines.append("[[warnings]]")
-        lines += [f"  {f}" for f in result.flags]
+    for title, flags in (("warnings", warnings(result)), ("as usual, and good to know", notes(result))):
+        if flags:
+            lines.append(f"[[{title}]]")
+            lines += [f"  {f}" for f in flags]
     return "\n".join(lines) + "\n"
 
 
@@ -65,6 +70,58 @@ def misfit(result: TableFit) -> str:
         return f"{fit.chi2:.4g} / {fit.dof}: nothing is left to judge by"
     said = f"{fit.chi2:.4g} / {fit.dof} = {fit.chi2 / fit.dof:.3g}"
     return f"{said} by construction: σ were scaled to what this fit misses" if result.scaled else said
+
+
+def warnings(result: TableFit) -> list[str]:
+    """Return what spoils the fit."""
+    return [flag for flag in result.flags if not table_doubts.usual(flag)]
+
+
+def notes(result: TableFit) -> list[str]:
+    """Return what is as usual, and good to know."""
+    return [flag for flag in result.flags if table_doubts.usual(flag)]
+
+
+def valid(result: TableFit) -> str:
+    """Return the times that the fit describes, and how well."""
+    said = "from {:.4g} s to {:.4g} s after lamp-off".format(*result.valid_s)
+    worst = result.worst_miss
+    if worst is None:
+        return said
+    return f"{said}; of the well-measured values there the worst is missed by {worst.share:.0%}, at {worst.t_s:.4g} s"
+
+
+def choice(result: TableFit) -> str:
+    """Return what each criterion would choose, or that there was no choice."""
+    if len(result.selection.candidates) == 1:
+        return "No other was tried: not asked for, or more than so few values can tell."
+    return f"would choose: {table_doubts.votes(result.selection)}. The F-test decides."
+
+
+def extrapolated_back(result: TableFit) -> str:
+    """Return from where amplitudes at t = 0 are extrapolated, if they are."""
+    first = float(result.fit.data.t_s.min())
+    return f", extrapolated from the first value, at {first:.4g} s" if first > 0 else ""
+
+
+def law_parameters(law: OtherLaw) -> str:
+    """Return the parameters of another law."""
+    return ", ".join(
+        f"{k} not determined" if k in law.undetermined else f"{k} = {v:.4g}"
+        for k, v in law.parameters.items()
+    )
+
+
+def rate(result: TableFit, i: int) -> str:
+    """Return a rate with its standard error, or that the data do not determine it."""
+    if _open(result, i):
+        return "not determined"
+    return with_error(float(result.fit.kr_per_s[i]), float(result.fit.kr_standard_error[i]), share=True)
+
+
+def _open(result: TableFit, i: int) -> bool:
+    """Whether the data exclude no rate of a state."""
+    return bool(result.interval95[i, 0] <= 0 and np.isinf(result.interval95[i, 1]))
 
 
 def interval(result: TableFit, i: int) -> str:
@@ -85,9 +142,9 @@ def linear(result: TableFit, channel: int) -> dict[str, str]:
     """Return the amplitudes of a channel, and its offset, with errors."""
     fit = result.fit
     found = {
-        f"A[{i}]": with_error(
-            float(fit.amplitude[i, channel]), float(result.amplitude_standard_error[i, channel])
-        )
+        f"A[{i + 1}]": "not determined"
+        if _open(result, i)
+        else with_error(float(fit.amplitude[i, channel]), float(result.amplitude_standard_error[i, channel]))
         for i in range(fit.n_states)
     }
     error = float(result.offset_standard_error[channel])
@@ -111,8 +168,15 @@ def with_error(value: float, error: float, *, share: bool = False) -> str:
 
 
 def number(value: float) -> str:
-    """Write a number of statistics shortly, without an exponent where it is merely large."""
+    """Write a number of statistics shortly, without an exponent where it is merely large; a dash for none."""
+    if not np.isfinite(value):
+        return "-"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
+
+
+def criterion(value: float) -> str:
+    """Write AICc or BIC, or that there are too few values for it."""
+    return f"{value:.5g}" if np.isfinite(value) else "-"
 
 
 def by_chance(p: float | None) -> str:

@@ -264,7 +264,7 @@ def _fit_session(args: argparse.Namespace) -> int:
         if bootstrap is not None:
             print("[[rates by bootstrap, 95 %]]")
             for i, (low, high) in enumerate(bootstrap):
-                print(f"  kr[{i}] [1/s]           {low:.4g} .. {high:.4g}")
+                print(f"  kr[{i + 1}] [1/s]           {low:.4g} .. {high:.4g}")
         for line in extrapolation.lines(beyonds, result.fit.data.channels):
             print(line)
         print(f"Wrote {args.output}" + (f" and {args.report}" if args.report else ""))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 _LOPSIDED = 5.0
 # Of the axis, above and below all values.
 _MARGIN = 2.0
+# Values of more noise, in per cent, do not set the scale of what is missed.
+_NOISY = 50.0
 
 
 def write_page(path: str | os.PathLike[str], result: TableFit, name: str) -> None:
@@ -38,20 +41,31 @@ def write_page(path: str | os.PathLike[str], result: TableFit, name: str) -> Non
         by_chance=text.by_chance,
         rates=[
             {
-                "kr": text.with_error(float(kr), float(fit.kr_standard_error[i]), share=True),
+                "kr": text.rate(result, i),
                 "interval": text.interval(result, i),
                 "lifetime": text.lifetime(result, i),
             }
-            for i, kr in enumerate(fit.kr_per_s)
+            for i in range(fit.n_states)
         ],
         amplitudes=[(channel, text.linear(result, c)) for c, channel in enumerate(fit.data.channels)],
-        warnings=[flag.partition(": ")[::2] for flag in result.flags],
+        valid=text.valid(result),
+        choice=text.choice(result),
+        back=text.extrapolated_back(result),
+        law_parameters=text.law_parameters,
+        warnings=[_sentence(flag, fit.data.channels) for flag in text.warnings(result)],
+        notes=[_sentence(flag, fit.data.channels) for flag in text.notes(result)],
     )
     write_text(path, page)
 
 
+def _sentence(flag: str, channels: Sequence[str]) -> str:
+    """The sentence of a "code: sentence", with a capital unless it begins with the name of a channel."""
+    text = flag.partition(": ")[2]
+    return text if text.startswith(tuple(channels)) else text[0].upper() + text[1:]
+
+
 def _figure(result: TableFit) -> Figure:
-    """Signal over time with the fit, and below it what the fit misses, in standard deviations."""
+    """Signal over time with the fit, and below it what the fit misses, in per cent of what it says."""
     from matplotlib.figure import Figure
 
     fit, data = result.fit, result.fit.data
@@ -63,6 +77,7 @@ def _figure(result: TableFit) -> Figure:
     by_decades = first > 0 and np.median(middle) < middle[-1] / _LOPSIDED
     t = np.geomspace(first, middle[-1], 500) if by_decades else np.linspace(first, middle[-1], 500)
     curve, predicted = fit.predict(t, np.zeros_like(t)), fit.predict(data.t_s, data.exposure_s)
+    widest = 0.0
     for c, channel in enumerate(data.channels):
         used, colour = data.used[:, c], f"C{c}"
         sigma = data.total_sigma[used, c]
@@ -70,7 +85,11 @@ def _figure(result: TableFit) -> Figure:
             middle[used], data.signal[used, c], sigma, fmt="o", ms=3, lw=0.8, color=colour, label=channel
         )
         upper.plot(t, curve[:, c], color=colour, lw=1)
-        lower.plot(middle[used], (data.signal[used, c] - predicted[used, c]) / sigma, "o", ms=3, color=colour)
+        told = predicted[used, c]
+        miss, spread = 100 * (data.signal[used, c] / told - 1), 100 * sigma / np.abs(told)
+        lower.errorbar(middle[used], miss, spread, fmt="o", ms=3, lw=0.8, color=colour)
+        clear = spread < _NOISY
+        widest = max(widest, float((np.abs(miss) + spread)[clear].max(initial=0.0)))
     seen = data.signal[data.used]
     if (seen > 0).all():
         # What a fit says far below all values is nothing to look at.
@@ -83,7 +102,9 @@ def _figure(result: TableFit) -> Figure:
         title="measured (points), fitted (lines)", ncols=4, frameon=False, loc="outside upper center"
     )
     lower.axhline(0, color="0.4", lw=0.8)
-    lower.set_ylabel("misfit [σ]")
+    lower.set_ylabel("misfit [%]")
+    if widest > 0:
+        lower.set_ylim(-1.1 * widest, 1.1 * widest)
     lower.set_xlabel("time since lamp-off [s]")
     for axes in (upper, lower):
         axes.grid(alpha=0.25)

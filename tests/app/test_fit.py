@@ -102,6 +102,21 @@ def test_the_page_of_a_table_explains_its_numbers(tmp_path):
         assert part in said
 
 
+def test_the_page_of_a_table_that_misses_promises_no_true_rate(tmp_path):
+    path, page = tmp_path / "power.csv", tmp_path / "r.html"
+    path.write_text("t_s,lum\n" + "".join(f"{2 * 1.5**i:.6g},{1000 / 1.5**i:.6g}\n" for i in range(18)))
+    assert cli.main(["fit", str(path), "--report", str(page)]) == 0
+    said = " ".join(page.read_text().split())
+    assert "95 of 100 measurements" not in said
+    assert "no true rate" in said
+    assert "the worst is missed by" in said
+    assert "misfit [%]" in said
+    warned, _, usual = said.partition("As usual, and good to know")
+    assert "other-law" not in said  # sentences, not codes
+    assert warned.count("law describes the values better") == 1
+    assert "The table gives no σ" in usual
+
+
 def test_a_name_that_is_not_there_is_said_before_what_else_is_missing(tmp_path, capsys):
     assert cli.main(["fit", str(tmp_path / "missing.csv")]) == 1
     assert "missing.csv: does not exist" in capsys.readouterr().err

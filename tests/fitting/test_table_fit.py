@@ -15,6 +15,7 @@ from phoslab.fitting.intervals import rate_intervals
 from phoslab.fitting.noise import law_of
 from phoslab.fitting.screening import Screened
 from phoslab.fitting.table_fit import fit_screened, fit_table
+from phoslab.fitting.table_report import report
 
 T = np.arange(37) * 5.0
 SCALES = np.array([1.0, 0.6, 0.25])
@@ -410,3 +411,59 @@ def test_a_file_that_is_no_table_is_refused_by_line_and_column(tmp_path, text, n
     path.write_text(text)
     with pytest.raises(PhoslabError, match=named):
         fit_table(path)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_band_holds_a_tail_that_was_fitted_as_a_constant(tmp_path, seed):
+    """1/t over three decades and no other light: the last exponential that the data want is a constant."""
+    t = np.geomspace(2, 3600, 30)
+    y = 2000 / t * (1 + np.random.default_rng(seed).normal(0, 0.02, t.size))
+    times = [7200.0, 36000.0]
+    result = fit_table(written(tmp_path, t_s=t, lum=y), extrapolate_s=times)
+    assert result.fit.has_offset
+    for b in result.extrapolated:
+        assert b.low[0] < 2000 / b.t_s < b.high[0]
+        assert np.isnan(b.value).all()
+    assert flagged(result, "constant-or-glow")
+    # A light that stands still may be the room's: at last none of it need be glow.
+    assert result.extrapolated[1].low[0] < 0.01 * result.extrapolated[1].high[0]
+
+
+def test_nothing_is_chosen_that_leaves_too_few_values_to_judge_it(tmp_path):
+    t = [10.0, 60, 120, 300, 600, 1800]
+    result = fit_table(written(tmp_path, t_s=t, lum=[300.0, 60, 29, 11.5, 5.4, 1.6]))
+    assert (result.fit.n_states, result.fit.has_offset) == (2, False)
+    assert all(np.isfinite(c.fit.aicc) for c in result.selection.candidates)
+    assert all(vote is result.selection.chosen for vote in result.selection.votes.values())
+    # The values lie on no sum of two exponentials, and steps far from it lose the valley that it lies in.
+    low, high = result.interval95.T
+    assert (low < 0.99 * result.fit.kr_per_s).all()
+    assert (high > 1.01 * result.fit.kr_per_s).all()
+
+
+def test_what_the_values_do_not_tell_has_no_number(tmp_path):
+    three = fit_table(written(tmp_path, t_s=[10.0, 60, 120], lum=[300.0, 60, 29]))
+    said = report(three, "three.csv")
+    assert "kr[1] [1/s]             not determined" in said
+    assert "Take 6 readings or more" in said
+    assert "inf" not in said
+    power = fit_table(written(tmp_path, t_s=METER_T, lum=METER))
+    said = report(power, "power.csv")
+    assert "k_per_s not determined" in said
+    assert power.to_dict()["other_laws"][0]["k_per_s"] is None
+    assert "extrapolated from the first value, at 2 s" in said
+    assert "its χ² equals its dof by construction" in said
+    assert "no bounds of true rates" in said
+    assert len(flagged(power, "other-law")) == 1
+
+
+def test_the_worst_miss_is_that_of_a_value_out_of_the_noise(tmp_path):
+    t = np.arange(20) * 5.0
+    y = np.exp(-0.05 * t)
+    y[8] *= 1.1
+    y[-1] = -0.001  # missed by far more than itself, in the noise
+    result = fit_table(written(tmp_path, t_s=t, lum=y, lum_sigma=np.full(20, 0.003)), states=1, offset="none")
+    worst = result.worst_miss
+    assert (worst.channel, worst.t_s) == ("lum", 40.0)
+    # 1 - 1 / 1.1 of the value, less what one value of twenty draws the fit.
+    assert worst.share == pytest.approx(0.1 / 1.1, abs=0.02)
