@@ -95,7 +95,7 @@ def choice(result: TableFit) -> str:
     """Return what each criterion would choose, or that there was no choice."""
     if len(result.selection.candidates) == 1:
         return "No other was tried: not asked for, or more than so few values can tell."
-    return f"would choose: {table_doubts.votes(result.selection)}. The F-test decides."
+    return f"The criteria would choose: {table_doubts.votes(result.selection)}. The F-test decides."
 
 
 def extrapolated_back(result: TableFit) -> str:

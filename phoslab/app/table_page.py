@@ -65,7 +65,7 @@ def _sentence(flag: str, channels: Sequence[str]) -> str:
 
 
 def _figure(result: TableFit) -> Figure:
-    """Signal over time with the fit, and below it what the fit misses, in per cent of what it says."""
+    """Signal over time with the fit, and below it what the fit misses, in per cent of each value."""
     from matplotlib.figure import Figure
 
     fit, data = result.fit, result.fit.data
@@ -85,16 +85,16 @@ def _figure(result: TableFit) -> Figure:
             middle[used], data.signal[used, c], sigma, fmt="o", ms=3, lw=0.8, color=colour, label=channel
         )
         upper.plot(t, curve[:, c], color=colour, lw=1)
-        told = predicted[used, c]
-        miss, spread = 100 * (data.signal[used, c] / told - 1), 100 * sigma / np.abs(told)
+        seen = np.where(data.signal[used, c] == 0, np.nan, data.signal[used, c])
+        miss, spread = 100 * (seen - predicted[used, c]) / np.abs(seen), 100 * sigma / np.abs(seen)
         lower.errorbar(middle[used], miss, spread, fmt="o", ms=3, lw=0.8, color=colour)
         clear = spread < _NOISY
         widest = max(widest, float((np.abs(miss) + spread)[clear].max(initial=0.0)))
-    seen = data.signal[data.used]
-    if (seen > 0).all():
+    shown = data.signal[data.used]
+    if (shown > 0).all():
         # What a fit says far below all values is nothing to look at.
         upper.set_yscale("log")
-        upper.set_ylim(seen.min() / _MARGIN, seen.max() * _MARGIN)
+        upper.set_ylim(shown.min() / _MARGIN, shown.max() * _MARGIN)
     if by_decades:
         upper.set_xscale("log")
     upper.set_ylabel("value [the table's unit]")
