@@ -7,7 +7,7 @@ temperature.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,7 @@ class Standard:
         illuminance_lx, duration_s: the same in numbers.
         minutes: after the light went off.
         classes: least luminance at those minutes, lowest class first.
+        unchecked: what the numbers do not tell of the charging and a verdict therefore depends on.
     """
 
     name: str
@@ -39,22 +40,33 @@ class Standard:
     duration_s: float
     minutes: tuple[float, ...]
     classes: Mapping[str, tuple[float, ...]]
+    unchecked: str
 
+
+_XENON = ("xenon, 1000 lx for 5 min", 1000.0, 300.0)
 
 STANDARDS = (
     Standard(
-        "PSPA", "xenon, 1000 lx for 5 min", 1000.0, 300.0, (2, 10, 30, 60),
+        "PSPA", *_XENON, (2, 10, 30, 60),
         {"A": (108, 23, 7, 3), "B": (210, 50, 15, 7), "C": (690, 140, 45, 20), "D": (1100, 260, 85, 35),
          "E": (1800, 400, 120, 55), "F": (2300, 520, 155, 70), "G": (3000, 650, 190, 80)},
+        "if the lamp was a xenon lamp",
     ),
     Standard(
         "JIS Z 9107", "200 lx for 20 min", 200.0, 1200.0, (2, 10, 20, 30, 60),
         {"JA": (210, 50, 24, 15, 7), "JB": (440, 105, 50, 31, 15), "JC": (880, 210, 100, 62, 30),
          "JD": (1760, 420, 200, 124, 60)},
+        "if the lamp was the standard's",
     ),
     # How long the 25 lx shine is not in the sources at hand.
-    Standard("IMO / ISO 15370", "25 lx", 25.0, float("nan"), (10, 60), {"pass": (15, 2)}),
+    Standard(
+        "IMO / ISO 15370", "25 lx", 25.0, float("nan"), (10, 60), {"pass": (15, 2)},
+        "if lamp and length of light were the standard's",
+    ),
 )  # fmt: skip
+
+DIN = Standard("DIN 67510 style", *_XENON, (10, 60), {}, "if the lamp was a xenon lamp")
+"""Has a label instead of classes."""
 
 # Visible end of a DIN 67510 decay: a hundred times the threshold of the dark-adapted eye.
 DIN_THRESHOLD_MCD = 0.3
@@ -74,14 +86,16 @@ class Verdict:
     Args:
         standard: its name.
         verdict: the class, "below the lowest class", "insufficient data", or "not comparable".
-        reason: one sentence.
+        reason: the limits that decide, with what was measured, in a sentence.
         luminance_mcd: by minute, where the data reach.
+        condition: under which the verdict holds; "" for "not comparable".
     """
 
     standard: str
     verdict: str
     reason: str
     luminance_mcd: Mapping[float, float]
+    condition: str = ""
 
 
 @dataclass(frozen=True)
@@ -156,9 +170,9 @@ def _judge(
     reached = [m for m in standard.minutes if m * 60 <= reaches_s * (1 + 1e-9)]
     values = luminance_mcd(np.array(reached) * 60.0) if reached else np.zeros(0)
     seen = dict(zip(reached, values.tolist(), strict=True))
-    differs = _differs(standard, excitation)
-    if differs:
-        return Verdict(standard.name, "not comparable", differs, seen)
+    why = differs(standard, excitation)
+    if why:
+        return Verdict(standard.name, "not comparable", why, seen)
     # A class is lost at the first time that falls short, however little of the decay is known.
     possible = {
         name: all(
@@ -167,21 +181,28 @@ def _judge(
         for name, limits in standard.classes.items()
     }
     kept = [name for name, fits in possible.items() if fits]
-    lowest = next(iter(standard.classes))
+    higher = list(standard.classes)[len(kept) :]
+    short = _short_of(standard, higher[0], seen) if higher else ""
     if not kept:
-        reason = f"it falls short of {lowest} within the time measured"
-        return Verdict(standard.name, "below the lowest class", reason, seen)
+        return Verdict(standard.name, "below the lowest class", short, seen, standard.unchecked)
     if len(reached) < len(standard.minutes):
         missing = [m for m in standard.minutes if m not in seen]
-        reason = (
-            f"the data end at {reaches_s / 60:.3g} min; {', '.join(f'{m:g}' for m in missing)} min are needed"
-            + (f" (so far it could be {kept[-1]})" if seen else "")
-        )
-        return Verdict(standard.name, "insufficient data", reason, seen)
-    return Verdict(standard.name, kept[-1], f"at or above its limits at {_and(standard.minutes)} min", seen)
+        reason = f"the data end at {reaches_s / 60:.3g} min; {_and(missing)} min are needed"
+        if seen:
+            reason += f" (so far it could be {kept[-1]}{'; ' * bool(short)}{short})"
+        return Verdict(standard.name, "insufficient data", reason, seen, standard.unchecked)
+    limits = f"its limits are {_and(standard.classes[kept[-1]])} mcd/m2 at {_and(standard.minutes)} min"
+    return Verdict(standard.name, kept[-1], f"{limits}{'; ' * bool(short)}{short}", seen, standard.unchecked)
 
 
-def _differs(standard: Standard, excitation: Excitation) -> str | None:
+def _short_of(standard: Standard, name: str, seen: Mapping[float, float]) -> str:
+    """Return by which value a class is missed: the one that falls shortest of its limit."""
+    limits = dict(zip(standard.minutes, standard.classes[name], strict=True))
+    minute = min(seen, key=lambda m: seen[m] / limits[m])
+    return f"{name} needs {limits[minute]:g} mcd/m2 at {minute:g} min, measured {seen[minute]:.3g}"
+
+
+def differs(standard: Standard, excitation: Excitation) -> str | None:
     """Return why an excitation is not the standard's, or None."""
     if excitation.illuminance_lx is None:
         return f"the standard charges with {standard.excitation}; how this sample was charged is not said"
@@ -212,5 +233,5 @@ def din_label(luminance_mcd: Callable[[Array], Array], reaches_s: float) -> str 
     return f"{first}/{second}-{end}"
 
 
-def _and(minutes: tuple[float, ...]) -> str:
-    return ", ".join(f"{m:g}" for m in minutes)
+def _and(values: Sequence[float]) -> str:
+    return ", ".join(f"{x:g}" for x in values)

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
         material = Material.load(args.decay)
         absolute = material.calibration == "absolute"
-        reach = (material.valid_s or (0.0, math.inf))[1]
+        first, reach = material.valid_s or (0.0, math.inf)
 
         def glow_of_material(t_s: Array) -> Array:
             full = np.exp(-np.outer(t_s, material.kr_per_s))  # r(0) = 1: the material says no other
@@ -80,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
         channel = _channel(args.channel, data.channels, args.decay)
         absolute = args.unit != "relative"
         glow, reach = pc.measured(data, channel, _MCD.get(args.unit, 1.0))
+        first = float(data.t_s[0])
         flags += pc.in_the_noise(data, channel)
         note = f"measured values of {data.channels[channel]}, straight lines in log L over log t between them"
     if not math.isfinite(reach):
@@ -89,19 +90,21 @@ def run(args: argparse.Namespace) -> int:
             field="valid_s",
             remedy="Give [first, last] in s.",
         )
-    first = 0.0 if is_material else float(data.t_s[0])
     excitation = pc.Excitation(args.lux, None if args.minutes is None else 60 * args.minutes)
     known = [m for m in (2.0, 10.0, 20.0, 30.0, 60.0) if 60 * m <= reach]
     values = glow(np.array([first, *(60 * m for m in known)])).tolist()
     ratios = {f"{m:g} min": v / values[0] for m, v in zip(known, values[1:], strict=True)}
     verdicts = pc.classify(glow, reach, excitation) if absolute else []
-    label = pc.din_label(glow, reach) if absolute else None
+    # The label says nothing of the light before it: of another charging it would pass for the standard's.
+    unlike_din = pc.differs(pc.DIN, excitation)
+    label = pc.din_label(glow, reach) if absolute and not unlike_din else None
     if args.json:
         print(
             json.dumps(
                 {
                     "absolute": absolute,
                     "reaches_s": reach,
+                    "start_s": first,
                     "of_the_start": ratios,
                     "verdicts": [{**vars(v), "luminance_mcd": dict(v.luminance_mcd)} for v in verdicts],
                     "din_67510_style": label,
@@ -115,7 +118,10 @@ def run(args: argparse.Namespace) -> int:
     print(printable(f"{args.decay.name}: {note}; data reach to {reach / 60:.3g} min"))
     if not absolute:
         shares = ", ".join(f"{share:.2%} at {when}" for when, share in ratios.items()) or "none before 2 min"
-        print(f"Calibrated only relatively: no class can be given, only shares of the start: {shares}.")
+        print(
+            f"Calibrated only relatively: no class can be given, only shares of the glow at {first:.3g} s, the first "
+            f"that the data support: {shares}."
+        )
         print(
             'A material needs "calibration": "absolute", see "Relative and absolute" in docs/model.md; or classify a '
             "table of a luminance meter."
@@ -124,14 +130,22 @@ def run(args: argparse.Namespace) -> int:
         )
     for v in verdicts:
         measured = ", ".join(f"{x:.3g} at {m:g} min" for m, x in v.luminance_mcd.items())
-        print(f"  {v.standard:16} {v.verdict}: {v.reason}" + (f"  [mcd/m2: {measured}]" if measured else ""))
+        held = f"{v.verdict}{', ' * bool(v.condition)}{v.condition}"
+        print(f"  {v.standard:16} {held}: {v.reason}" + (f"  [mcd/m2: {measured}]" if measured else ""))
     if absolute:
-        print(f"  DIN 67510 style  {label or 'insufficient data: 10 min are needed'}")
-        if label:
-            print(f"  {'':16} ({pc.DIN_LEGEND})")
+        said = (
+            f"not comparable: {unlike_din}"
+            if unlike_din
+            else f"{label}, {pc.DIN.unchecked}: {pc.DIN_LEGEND}"
+            if label
+            else "insufficient data: 10 min are needed"
+        )
+        print(f"  {pc.DIN.name:16} {said}")
     if any(v.verdict == "not comparable" for v in verdicts):
         print(
-            "Say how the sample was charged with --lux and --minutes; where it differs, charge as the standard does."
+            "Say how the sample was charged with --lux and --minutes."
+            if args.lux is None or args.minutes is None
+            else "Where the charging differs no class is told: charge as that standard does, and measure again."
         )
     for flag in flags:
         print(f"  {flag}")

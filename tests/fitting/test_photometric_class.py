@@ -1,13 +1,17 @@
 """Classes of safety signs from a decay."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from phoslab import preset
 from phoslab.app import cli
 from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.photometric_class import STANDARDS, Excitation, classify, din_label, measured
+from phoslab.kinetics import emitted_radiance
+from phoslab.photometry import luminance
 
 XENON, TUBE, DIM = Excitation(1000, 300), Excitation(200, 1200), Excitation(25, 900)
 PSPA, JIS, IMO = (s.name for s in STANDARDS)
@@ -41,14 +45,26 @@ def test_one_time_that_falls_short_costs_the_class():
 
 
 def test_below_every_class_needs_no_full_hour():
-    v = verdict(PSPA, through(PSPA, "A", 0.5), 700.0, XENON)
+    v = verdict(PSPA, lambda t: 50.0 * np.sqrt(120 / t), 700.0, XENON)  # 0.46 of A at 2 min, 0.97 at 10
     assert v.verdict == "below the lowest class"
+    assert v.reason == "A needs 108 mcd/m2 at 2 min, measured 50"
+
+
+def test_a_class_names_its_limits_its_condition_and_what_the_next_one_misses():
+    v = verdict(PSPA, through(PSPA, "B"), 3600.0, XENON)
+    assert v.condition == "if the lamp was a xenon lamp"
+    assert "210, 50, 15, 7 mcd/m2 at 2, 10, 30, 60 min" in v.reason
+    assert "C needs 690 mcd/m2 at 2 min, measured 210" in v.reason  # 0.30 of it; 0.33 to 0.36 later
+    assert "needs" not in verdict(PSPA, through(PSPA, "G"), 3600.0, XENON).reason
 
 
 def test_a_decay_that_ends_early_is_insufficient_and_says_what_is_missing():
     v = verdict(PSPA, through(PSPA, "C"), 900.0, XENON)
     assert v.verdict == "insufficient data"
-    assert "15 min; 30, 60 min are needed (so far it could be C)" in v.reason
+    assert (
+        "15 min; 30, 60 min are needed (so far it could be C; D needs 260 mcd/m2 at 10 min, measured 140)"
+        in v.reason
+    )
 
 
 @pytest.mark.parametrize("other", [TUBE, Excitation(1000, 600), Excitation(1000), Excitation()])
@@ -76,10 +92,10 @@ def test_the_din_label_names_two_luminances_and_the_end_of_sight():
 def test_values_between_measured_ones_follow_a_power_law():
     t = np.geomspace(30, 4000, 30)
     data = DecayData(t, np.zeros(30), (1e5 / t)[:, None], np.ones((30, 1)), channels=("L",))
-    luminance, reach = measured(data, 0, 1.0)
+    lum, reach = measured(data, 0, 1.0)
     at = np.array([120.0, 600.0, 3600.0])
     # Lines over log (t + 30 s) instead of log t: curvature between values 17 % apart is below 1e-3.
-    assert luminance(at) == pytest.approx(1e5 / at, rel=1e-3)
+    assert lum(at) == pytest.approx(1e5 / at, rel=1e-3)
     assert reach == pytest.approx(4000)
 
 
@@ -101,6 +117,40 @@ def test_a_relative_decay_gives_shares_and_no_class(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "no class can be given" in said
     assert "10.00% at 2 min" in said
+    assert "shares of the glow at 0 s" in said
+
+
+def test_a_materials_shares_are_of_the_first_glow_that_its_data_support(tmp_path, capsys):
+    m = replace(preset("green"), valid_s=(2.0, 700.0))
+    m.save(tmp_path / "m.json")
+    assert cli.main(["classify", str(tmp_path / "m.json"), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+
+    def glow(t):
+        return luminance(emitted_radiance(m, np.exp(-m.kr_per_s * t)), m.bands)
+
+    assert answer["start_s"] == 2.0
+    assert answer["of_the_start"]["10 min"] == pytest.approx(glow(600.0) / glow(2.0), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("charged", "advice", "label"),
+    [
+        ([], "Say how the sample was charged with --lux and --minutes.", False),
+        (["--lux", "50", "--minutes", "5"], "charge as that standard does", False),
+        (["--lux", "1000", "--minutes", "5"], "charge as that standard does", True),  # JIS and IMO differ
+    ],
+)
+def test_advice_and_label_go_by_how_the_sample_was_charged(tmp_path, capsys, charged, advice, label):
+    table = tmp_path / "l.csv"
+    table.write_text("t_s,lum\n" + "".join(f"{x},{1e5 / x}\n" for x in (10, 60, 120, 600, 1800, 3600)))
+    assert cli.main(["classify", str(table), "--unit", "mcd/m2", *charged]) == 0
+    said = capsys.readouterr().out
+    assert advice in said
+    assert ("--lux and --minutes" in said) == (not charged)
+    din = next(line for line in said.splitlines() if "DIN 67510" in line)
+    assert ("167/27.8-?" in din and "xenon" in din) == label
+    assert ("not comparable" in din) != label
 
 
 def test_what_is_lost_in_noise_is_not_read(tmp_path, capsys):
@@ -123,6 +173,4 @@ def test_what_is_missing_is_said_with_what_there_is(tmp_path, capsys):
     assert cli.main(["classify", str(table), "--channel", "blue"]) == 1
     assert "no channel 'blue'" in capsys.readouterr().err
     assert cli.main(["classify", str(table), "--channel", "lum", "--unit", "mcd/m2"]) == 0
-    said = capsys.readouterr().out
-    assert "--lux and --minutes" in said
-    assert "minutes until 0.3 mcd/m²" in said
+    assert "--lux and --minutes" in capsys.readouterr().out
