@@ -112,16 +112,27 @@ class ExcitationFit:
 
         The median of the bright places, wherever half of them stand clear of their noise; (NaN, 1) if nowhere.
         """
-        lit_s, ratio = float("nan"), 1.0
+        return max(self._ratios(), key=lambda told: abs(np.log(told[1])), default=(float("nan"), 1.0))
+
+    def near_from(self, share: float) -> float:
+        """Return the length of light [s] from which on the model is never off by more than a share; NaN if nowhere.
+
+        Of the same medians as `farthest_off`.
+        """
+        told = self._ratios()
+        off = [t for t, ratio in told if abs(ratio - 1) > share]
+        return min((t for t, _ in told if t > max(off, default=0.0)), default=float("nan"))
+
+    def _ratios(self) -> list[tuple[float, float]]:
+        """Lengths of light [s], and modelled over measured glow then, median of the bright places."""
+        told = []
         for t, signal, sigma, model in zip(
             self.data.steps.lit_s, self.data.signal, self.data.sigma, self.model, strict=True
         ):
             clear = self.bright & (signal > _CLEAR * sigma)
             if clear.sum() > self.bright.sum() / 2:
-                here = float(max(np.median(model[clear] / signal[clear]), 1e-9))
-                if abs(np.log(here)) > abs(np.log(ratio)):
-                    lit_s, ratio = float(t), here
-        return lit_s, ratio
+                told.append((float(t), float(max(np.median(model[clear] / signal[clear]), 1e-9))))
+        return told
 
     @property
     def product_only(self) -> NDArray[np.bool_]:

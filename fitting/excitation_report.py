@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 # A rise that is off by more than this is said to be (the fit's own measure of a sample that follows the model).
 _RISE = 0.05
 _LEVEL = 0.02
+# Off by less than this, a render of a recorded length of light counts as good.
+_NEAR = 0.1
 # A state that fills no further than this shows nothing of its saturation.
 _HARDLY_FULL = 0.01
 
@@ -29,16 +31,26 @@ def doubts(fit: ExcitationFit) -> tuple[str, ...]:
     if empty.size:
         found.append(
             f"The fit leaves {_states(empty)} next to empty however long the lamp shone, and makes up for it by a Λ "
-            "as much too large: under more light than was recorded a render is far too bright. Fewer states, or a "
-            "series with longer exposures, may tell how full it becomes."
+            "as much too large: under more light than was recorded a render is far too bright. "
+            + (
+                f"For other light than was recorded use `--states {fit.n_states - 1}`; this fit serves for the decay "
+                "after the recorded light."
+                if fit.n_states > 1
+                else "A series with longer exposures may tell how full it becomes."
+            )
         )
     loose = fit.kr_per_s[fit.product_only]
     if loose.size:
         found.append(
             f"How full {_states(loose)} become{'s' if loose.size == 1 else ''} is not known well enough to tell ke "
             "(how fast light fills a state) from Λ (the light that a full state gives): only their product is known. "
-            "If ke is larger by a factor, Λ is smaller by it. Renders of what was recorded are as good as the fit; of "
-            "much stronger light they are a guess."
+            "If ke is larger by a factor, Λ is smaller by it. Renders of light as strong and as long as was recorded "
+            "are as good as the fit; of much stronger light they are a guess. "
+            + (
+                "No other recording of this kind tells more, since saturation is hidden by what the model misses."
+                if fit.discrepancy
+                else "A stronger lamp would tell, or longer exposures (`phoslab measure excitation --change 0`)."
+            )
         )
     return tuple(found)
 
@@ -83,9 +95,16 @@ def _charging(fit: ExcitationFit) -> list[str]:
             f" It is farthest off after {lit_s:.2g} s of light, where it is {factor:.2g} times as bright as the sample "
             "(medians of the bright places): renders of as much light are off by as much."
         )
+        near = fit.near_from(_NEAR)
+        if np.isfinite(near):
+            text += (
+                f" From {near:.3g} s of light on it is within {_NEAR:.0%}: use the material for charges of that length "
+                "and more, under light about as strong as the lamp's."
+            )
     if fit.discrepancy:
         text += (
-            " The decay was kept as measured, and the level after the longest exposure was to be met first."
+            " The decay was kept as measured, and the level after the longest exposure was to be met first. Another "
+            "recording does not mend this: the sample does what the model has no part for."
         )
     return [text]
 

@@ -483,7 +483,10 @@ def _doubts(fit: DecayFit, mismatch: float, spectrum_of: str | None) -> list[str
             "Rates and their errors, which are widened by the root of that, tell of the curve that comes nearest."
         )
         if fit.n_states < MOST_STATES:
-            doubts[-1] += f" `--states {fit.n_states + 1}` shows what one more makes of it."
+            doubts[-1] += (
+                f" `--states {fit.n_states + 1}` may come nearer, for renders of the decay; to render other charges "
+                f"than the recorded one keep {fit.n_states}, unless {fit.n_states + 1} leave none of them empty."
+            )
     if fit.dof < _FEW_DOF:
         doubts.append(
             f"{fit.dof + fit.n_parameters} values for {fit.n_parameters} parameters are few: the errors "

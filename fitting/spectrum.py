@@ -17,7 +17,7 @@ from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.fitting.card import Shading
 from phoslab.fitting.find_strip import follow_strip, outline_unseen
-from phoslab.fitting.lvf import Calibration, shading
+from phoslab.fitting.lvf import POSITIONS_NM, Calibration, shading
 from phoslab.fitting.strip_equations import NM, SHIFT_PX, StripEquations
 from phoslab.fitting.strip_light import StripLight, read_light
 from phoslab.raw import preview
@@ -79,6 +79,13 @@ class Spectrum:
     outlined: bool = True
     warnings: tuple[str, ...] = ()
     hidden: str = ""
+
+    @property
+    def farthest_off(self) -> tuple[float, float]:
+        """What is missed most, as a share of the largest signal, and the position in nm where."""
+        missed = np.nan_to_num(np.abs(self.measured - self.predicted)).max(axis=1)
+        k = int(np.argmax(missed))
+        return float(missed[k] / np.nanmax(self.measured)), float(POSITIONS_NM[k])
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -186,14 +193,16 @@ def measure_spectrum(
     if result.scaled_misfit > 4:
         warnings.append(
             f"The three colours do not agree on one spectrum (misfit {result.scaled_misfit:.1f} of what "
-            f"noise explains): "
-            "the strip, the camera or the scattered light is not what it was at the calibration."
+            f"noise explains; {_missed(result)}): "
+            "the strip, the camera or the scattered light is not what it was at the calibration. Calibrate anew, and "
+            "record this again with neither touched in between."
         )
     elif result.scaled_misfit > MISSES:
         warnings.append(
             f"The spectrum misses what the camera saw by more than noise and calibration explain "
-            f"({result.scaled_misfit:.1f} times in the mean square; 1 is right). Its errors are widened by the root of "
-            "that; what it comes from is not known, so they are a guide and no bounds."
+            f"({result.scaled_misfit:.1f} times in the mean square; 1 is right): {_missed(result)}. Its errors are "
+            "widened by the root of that; what it comes from is not known, so they are a guide and no bounds. If so "
+            "much matters, calibrate the filter anew and record this again, strip and camera untouched in between."
         )
     if abs(result.shift_px) > 2 * SHIFT_PX:
         warnings.append(
@@ -284,6 +293,12 @@ def _shaded(shading: Shading, strip: Strip) -> Array:
     """(n,) how evenly the card shows along the strip, mean 1, as flats have told."""
     value = shading.at(*strip.middle())
     return np.asarray(value / value.mean())
+
+
+def _missed(result: Spectrum) -> str:
+    """What the spectrum misses most, for a message."""
+    share, nm = result.farthest_off
+    return f"by at most {share:.2%} of the largest signal, at {nm:g} nm"
 
 
 def _hidden(calibration: Calibration) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from phoslab.fitting.lvf import Calibration
+    from phoslab.fitting.wavelength_map import Feature
 
 HELP = "calibrate the linear variable filter"
 EXAMPLE = "phoslab calibrate sessions/star/01-flats sessions/star/03-lvf -o lvf.json --plot lvf.svg"
@@ -114,6 +115,10 @@ def _report(c: Calibration) -> str:
     return "\n".join(lines)
 
 
+_KNOWN_NM = 1.0
+"""An error of wavelength that is small beside what passes at one place, some 24 nm."""
+
+
 @dataclass(frozen=True)
 class _Part:
     """Numbers of one kind: (name, value) each, and what they mean."""
@@ -147,21 +152,39 @@ def _wavelengths(c: Calibration) -> _Part:
     from phoslab.fitting.lvf import POSITIONS_NM
 
     error = c.map.standard_error_nm(c.places_px)
-    rows = []
+    known = POSITIONS_NM[error <= _KNOWN_NM]
+    reach = f"{known.min():g} to {known.max():g} nm" if known.size else "nowhere"
+    rows = [(f"known to {_KNOWN_NM:g} nm", reach)]
     for nm in (400, 450, 500, 550, 600, 650, 700):
         k = int(np.flatnonzero(POSITIONS_NM == nm)[0])
         place = f"at {c.places_px[k]:.2f} px  ± {error[k]:.2f} nm"
         rows.append((f"{nm} nm", "not on the strip" if np.isnan(c.places_px[k]) else place))
     for f in c.map.features:
-        rows.append((f"mercury {f.name} nm", f"found {f.off_nm:+.2f} nm off" if f.seen else "not seen"))
+        rows.append((f"mercury {f.name} nm", _line(c, f) if f.seen else "not seen"))
     rows.append(("passes", f"{c.map.width_nm:.1f} nm at 550 nm, in proportion to the wavelength elsewhere"))
     return _Part(
         "Wavelengths",
         rows,
-        "Places are pixels along the strip from the picture's middle, ± is one standard error of the wavelength there. "
-        "Mercury's lines were found that far from where these wavelengths put them. The width is of the light that "
-        "passes at one place, at half of its height.",
+        "Places are pixels along the strip from the picture's middle, ± is one standard error of the wavelength there; "
+        "between the wavelengths named first it is small beside the width. Mercury's lines were found that far from "
+        "where these wavelengths, which rest on them and on the other lights, put them: more than two standard errors "
+        "are farther than it should be. The width is of the light that passes at one place, at half of its height.",
     )
+
+
+def _line(c: Calibration, f: Feature) -> str:
+    """How far a line of mercury was found off, beside the error of the wavelength there."""
+    import numpy as np
+
+    error = float(c.map.standard_error_nm(c.map.place(np.array([_middle(f)])))[0])
+    verdict = "as it should be" if abs(f.off_nm) <= 2 * error else "farther than it should be"
+    return f"found {f.off_nm:+.2f} nm off, ± {error:.2f} nm: {verdict}"
+
+
+def _middle(f: Feature) -> float:
+    """The wavelength of a line of mercury, or the middle of two that blend."""
+    lines = [float(x) for x in f.name.split("+")]
+    return sum(lines) / len(lines)
 
 
 def _transmission(c: Calibration) -> _Part:
@@ -174,16 +197,21 @@ def _transmission(c: Calibration) -> _Part:
             "Transmission", [("curves", "none")], "There is no light of known spectrum to tell them from."
         )
     there = int(np.isfinite(c.curves.curve).all(axis=1).sum())
-    shares = "shares of light" if c.absolute else "relative"
+    unit = "from 0 (none passes) to 1 (all)" if c.absolute else "relative: how much is not known"
     return _Part(
         "Transmission",
         [
-            ("curves", f"{there} of {POSITIONS_NM.size} positions, {shares}"),
-            ("light", f"{c.light}, alone and behind {len(c.filters)} filters"),
+            ("curves", f"{there} of {POSITIONS_NM.size} positions, {unit}"),
+            ("light", f"white LED, taken for {c.light}; alone and behind {len(c.filters)} filters"),
             ("misfit", f"{100 * c.curves.misfit:.2f} % of each position's brightest signal"),
         ],
-        "How much of each wavelength passes at each position, and how far these curves are from what the camera saw.",
+        "How much of each wavelength passes at each position, and how far these curves are from what the camera saw. "
+        "They rest on the LED's spectrum: an illuminant is one of CIE's, typical and not measured. --led names "
+        "another.",
     )
+
+
+_SETTING = {"exposure_s": "exposure time in s", "iso": "ISO", "f_number": "f-number"}
 
 
 def _camera(c: Calibration) -> _Part:
@@ -196,8 +224,9 @@ def _camera(c: Calibration) -> _Part:
         rows.append(
             (
                 "settings",
-                f"{len(c.settings.corrections)} from overlaps (misfit {100 * c.settings_misfit:.2f} %); farthest off: "
-                f"{kind} {value:g}, {100 * np.expm1(log):+.1f} ± {100 * se:.1f} %",
+                f"{len(c.settings.corrections)} corrected by overlaps, which then agree to "
+                f"{100 * c.settings_misfit:.2f} %; most: {_SETTING[kind]} {value:g}, which gives "
+                f"{100 * abs(np.expm1(log)):.1f} ± {100 * se:.1f} % {'less' if log < 0 else 'more'} than its number",
             )
         )
     for iso, n in sorted(c.noise.items()):
@@ -212,8 +241,8 @@ def _camera(c: Calibration) -> _Part:
         "Camera",
         rows,
         "Its colours' sensitivities, and the factors on red and blue that the filter's frames ask for. Settings: what "
-        "exposure times, ISO and apertures really are, from frames whose settings overlap. Noise is from pairs of "
-        "frames; DN are the camera's raw numbers.",
+        "exposure times, ISO and apertures really are, from frames whose settings overlap; all frames are corrected by "
+        "that. Noise is from pairs of frames; DN are the camera's raw numbers.",
     )
 
 
@@ -243,8 +272,7 @@ def _plot(c: Calibration) -> str:
     )
     for f in c.map.features:
         if f.seen:
-            line = float(np.mean([float(x) for x in f.name.split("+")]))
-            at = float(c.map.place(np.array([line]))[0])
+            at = float(c.map.place(np.array([_middle(f)]))[0])
             upper.plot(at, float(np.interp(at, s, nm - straight)) + f.off_nm, "o", ms=5, color="#c0392b")
             # At the top, clear of dots and band.
             upper.annotate(

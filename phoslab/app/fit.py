@@ -44,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--states",
         default="auto",
         choices=["auto", "1", "2", "3", "4"],
-        help="number of exponentials (default: auto)",
+        help="number of exponentials (default: auto, which tries 1 to 3 for sessions and 1 to 4 for a table)",
     )
     parser.add_argument("--name", help="name of the material (default: the sample's)")
     parser.add_argument(

@@ -181,7 +181,7 @@ def _emission_figure(result: FitResult) -> Figure:
         axes.fill_between(seen.nm, np.maximum(low, 0), high, color="0.3", alpha=0.25, lw=0)
     axes.set_ylim(0, None)
     axes.set_xlabel("wavelength [nm]")
-    axes.set_ylabel("radiance, all states full\n[material's unit]")
+    axes.set_ylabel("radiance, all states full\n[DN/s at ISO 100, f/1]")
     axes.legend(frameon=False)
     return figure
 
@@ -209,12 +209,15 @@ def _excitation_figure(found: MeasuredExcitation) -> Figure:
     glow, model = data.signal / left_over[:, None], fit.model / left_over[:, None]
     spread = np.hypot(data.sigma, data.repeatability * data.signal) / left_over[:, None]
     scale = 1 / np.nanmax(np.where(np.isfinite(data.sigma), glow, np.nan))
+    # Photographs of one length of light stand beside each other; the line goes through the mean of what they would be.
+    lengths = np.unique(lit)
+    aside = lit * 1.06 ** np.array([(lit[:k] == t).sum() for k, t in enumerate(lit)])
     brightest = np.argsort(-data.signal[order[-1]])
     for k, s in enumerate(np.sort(brightest[: 2 * _RISES : 2])):
-        used = np.isfinite(data.sigma[:, s])
+        used = data.signal[:, s] > 2 * data.sigma[:, s]  # a logarithmic axis has no room for less
         colour = f"C{k}"
         left.errorbar(
-            lit[used],
+            aside[used],
             scale * glow[used, s],
             scale * spread[used, s],
             fmt="o",
@@ -223,12 +226,13 @@ def _excitation_figure(found: MeasuredExcitation) -> Figure:
             color=colour,
             label=f"{found.series.positions_nm[s]:.0f} nm",
         )
-        left.plot(lit[order], scale * model[order, s], color=colour, lw=1)
+        line = [scale * model[lit == t, s].mean() for t in lengths]
+        left.plot(lengths, line, color=colour, lw=1)
     left.set_xscale("log")
+    left.set_yscale("log")
     doubled = 2.0 ** np.arange(np.round(np.log2(lit.min())), np.round(np.log2(lit.max())) + 1)
     left.set_xticks(doubled, [f"{t:g}" for t in doubled])
     left.minorticks_off()
-    left.set_ylim(0, None)
     left.set_xlabel("length of light [s]")
     left.set_ylabel("glow, as a share of the brightest")
     # Above the axes: lines may run anywhere in them.

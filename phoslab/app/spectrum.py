@@ -128,15 +128,15 @@ def _table(result: Spectrum, calibration: str, digest: str) -> str:
 
 
 def _plot(result: Spectrum) -> str:
-    """The spectrum with its band; and what each position showed, with what the spectrum predicts."""
+    """The spectrum with its band; what each position showed, with what the spectrum predicts; and the difference."""
     import numpy as np
     from matplotlib.figure import Figure
 
     from phoslab.app.figures import svg
     from phoslab.fitting.lvf import POSITIONS_NM
 
-    figure = Figure(figsize=(8, 6.5), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    figure = Figure(figsize=(8, 8), layout="constrained")
+    upper, lower, missed = figure.subplots(3, 1, sharex=True, height_ratios=[2, 2, 1])
     band = 2 * result.standard_error
     upper.plot(result.nm, result.value, color="#2455a4")
     upper.fill_between(
@@ -148,9 +148,13 @@ def _plot(result: Spectrum) -> str:
     for c, (name, colour) in enumerate((("R", "#c0392b"), ("G", "#1e8449"), ("B", "#2455a4"))):
         lower.plot(POSITIONS_NM, result.measured[:, c] / top, "o", ms=3, color=colour, label=name)
         lower.plot(POSITIONS_NM, result.predicted[:, c] / top, color=colour, lw=1)
-    lower.set_xlabel("wavelength, or a position's middle [nm]")
+        miss = 100 * (result.measured[:, c] - result.predicted[:, c]) / top
+        missed.plot(POSITIONS_NM, miss, "o-", ms=3, lw=0.6, color=colour)
+    missed.axhline(0, color="0.4", lw=0.8)
+    missed.set_ylabel("missed [% of the largest]")
+    missed.set_xlabel("wavelength, or a position's middle [nm]")
     lower.set_ylabel("signal, as a share of the largest\n(points: measured, lines: predicted)")
     lower.legend(title="camera's colours", frameon=False, fontsize=8)
-    for axes in (upper, lower):
+    for axes in (upper, lower, missed):
         axes.grid(alpha=0.25)
     return svg(figure)

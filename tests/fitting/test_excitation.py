@@ -5,11 +5,13 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from phoslab.app.report import _excitation_figure
 from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.fitting.charging import LampCourse, Steps, Table
@@ -327,10 +329,44 @@ def test_a_sample_that_does_not_follow_the_model_is_met_at_its_level_and_its_ris
     assert fit.discrepancy > 0.01
     assert np.nanmedian(np.abs(fit.level_error)) < 0.02
     assert abs(fit.rise_ratio - 1) > 0.05
-    assert "does not follow the model" in report(fit)
-    assert "rises" in report(fit)
+    said = report(fit)
+    assert "does not follow the model" in said
+    assert "rises" in said
+    assert "Another recording does not mend this" in said
+    assert "No other recording of this kind tells more" in said
+    near = fit.near_from(0.1)
+    assert f"From {near:.3g} s of light on it is within 10%" in said
+    # Medians of all places, these being bright and clear of noise from there on: near from there, off just before.
+    lit = fit.data.steps.lit_s
+    off = np.array(
+        [abs(np.median((m / s)[fit.bright]) - 1) for m, s in zip(fit.model, fit.data.signal, strict=True)]
+    )
+    assert (off[lit >= near] <= 0.1).all()
+    assert off[lit == lit[lit < near].max()] > 0.1
     # And the decay is left alone.
     assert fit.kr_per_s == pytest.approx(truth.charge.kr_per_s, rel=1e-12)
+
+
+def test_light_after_which_the_model_is_near_is_told_only_where_there_is_some(two_states):
+    _, fit = two_states
+    assert fit.near_from(0.5) == fit.data.steps.lit_s.min()
+    assert np.isnan(replace(fit, model=2 * fit.model).near_from(0.1))
+
+
+def test_photographs_of_one_length_of_light_are_not_joined(two_states):
+    truth, fit = two_states
+    # The second length of light as long as the first: as where a badly exposed photograph is followed by a better one.
+    lit = truth.data.steps.lit_s.copy()
+    lit[1] = lit[0]
+    data = replace(truth.data, steps=replace(truth.data.steps, lit_s=lit))
+    series = SimpleNamespace(data=data, charge=truth.charge, positions_nm=np.arange(data.signal.shape[1]))
+    left = _excitation_figure(SimpleNamespace(fit=fit, series=series)).axes[0]
+    lines = [line for line in left.lines if line.get_linestyle() == "-"]
+    assert lines
+    for line in lines:
+        assert (np.diff(line.get_xdata()) > 0).all()
+    points = left.containers[0].lines[0].get_xdata()
+    assert np.unique(points).size == points.size
 
 
 def test_a_saturated_value_is_left_out(two_states):

@@ -148,6 +148,16 @@ def test_the_glows_spectrum_is_that_of_the_sample(calibration, emission_session)
     assert found.peak_nm == pytest.approx(fine[np.argmax(truth)], abs=3.0)
 
 
+def test_what_a_spectrum_misses_most_is_told_in_size_and_place(calibration, lamp_session):
+    found = measure_spectrum(lamp_session, calibration)
+    top = np.nanmax(found.measured)
+    odd = found.predicted.copy()
+    odd[13, 2] = found.measured[13, 2] + 0.4 * top  # more than the lamp is missed anywhere
+    share, nm = replace(found, predicted=odd).farthest_off
+    assert share == pytest.approx(0.4)
+    assert nm == POSITIONS_NM[13]
+
+
 def test_a_file_gives_back_the_same_numbers(calibration, tmp_path):
     save(calibration, tmp_path / "lvf.json")
     again, digest = load(tmp_path / "lvf.json")
@@ -291,7 +301,10 @@ def test_the_commands_write_what_they_say(lvf_session, lamp_session, tmp_path, c
     lvf, table = tmp_path / "lvf.json", tmp_path / "lamp.csv"
     drawn = ["--plot", str(tmp_path / "lvf.svg"), "--report", str(tmp_path / "lvf.html")]
     assert main(["calibrate", str(lvf_session), "-o", str(lvf), *drawn]) == 0
-    assert "<tr><th>mercury 435.83 nm</th>" in (tmp_path / "lvf.html").read_text()
+    page = (tmp_path / "lvf.html").read_text()
+    assert "<tr><th>mercury 435.83 nm</th>" in page
+    assert "nm: as it should be" in page
+    assert "<tr><th>known to 1 nm</th>" in page
     assert "[[Wavelengths]]" in capsys.readouterr().out
     assert main(["spectrum", str(lamp_session), "--lvf", str(lvf), "-o", str(table), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -302,6 +315,7 @@ def test_the_commands_write_what_they_say(lvf_session, lamp_session, tmp_path, c
     assert f"It is highest at {said['peak_nm']:.0f} nm" in (tmp_path / "lamp.html").read_text()
     assert said["peak_nm"] == NM[-1]
     assert "it may go on rising" in (tmp_path / "lamp.html").read_text()
+    assert "stands a continuation, and the band is no bound" in (tmp_path / "lamp.html").read_text()
     rows = np.array([[float(x) for x in r.split(",")] for r in table.read_text().splitlines() if r[0] != "#"])
     assert np.array_equal(rows[:, 0], NM)
     assert rows[:, 1].max() == 1.0
