@@ -106,9 +106,17 @@ class Spectrum:
         )
 
     @property
-    def rising(self) -> bool:
-        """Whether it is highest at an end of what was measured, and may go on rising beyond."""
-        return not 0 < int(np.argmax(self.value)) < self.nm.size - 1
+    def end_nm(self) -> float | None:
+        """The end of what was measured that is within two standard errors of the highest value, in nm, or None.
+
+        Beyond such an end the spectrum may go on rising.
+        """
+        k = int(np.argmax(self.value))
+        for end in (0, self.nm.size - 1):
+            spread = self.covariance[k, k] + self.covariance[end, end] - 2 * self.covariance[k, end]
+            if self.value[k] - self.value[end] <= 2 * np.sqrt(max(spread, 0.0)):
+                return float(self.nm[end])
+        return None
 
     @property
     def peak_nm(self) -> float:

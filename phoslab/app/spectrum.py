@@ -93,7 +93,10 @@ def run(args: argparse.Namespace) -> int:
         return 0
     lines = ["[[Spectrum]]", f"    session     {result.session[0]} ({result.plan})  {result.session[1][:12]}"]
     lines.append(f"    calibration {args.lvf.name}  {digest[:12]}")
-    beyond = ", the end of what is measured: it may go on rising" if result.rising else ""
+    end = result.end_nm
+    beyond = (
+        "" if end is None else f"; the end, {end:.0f} nm, is as high within its error: it may go on rising"
+    )
     lines.append(f"    peak        {result.peak_nm:.1f} nm{beyond}")
     lines.append(f"    misfit      {result.scaled_misfit:.2f} of what noise and calibration explain")
     lines.append(f"    strip       moved by {result.shift_px:+.2f} px along itself since the calibration")

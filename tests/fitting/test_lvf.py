@@ -146,6 +146,7 @@ def test_the_glows_spectrum_is_that_of_the_sample(calibration, emission_session)
     # Shift of the strip by hand, 0.23 nm, and the map's own error, together 3 of 0.4 nm; and the tails' noise.
     assert (found.nm * found.value).sum() / found.value.sum() == pytest.approx(centroid, abs=2.5)
     assert found.peak_nm == pytest.approx(fine[np.argmax(truth)], abs=3.0)
+    assert found.end_nm is None
 
 
 def test_what_a_spectrum_misses_most_is_told_in_size_and_place(calibration, lamp_session):
@@ -313,7 +314,7 @@ def test_the_commands_write_what_they_say(lvf_session, lamp_session, tmp_path, c
     assert main(arguments) == 0
     assert page in capsys.readouterr().out
     assert f"It is highest at {said['peak_nm']:.0f} nm" in (tmp_path / "lamp.html").read_text()
-    assert said["peak_nm"] == NM[-1]
+    assert f"the end of what is measured, {NM[-1]:.0f} nm, is as high" in (tmp_path / "lamp.html").read_text()
     assert "it may go on rising" in (tmp_path / "lamp.html").read_text()
     assert "stands a continuation, and the band is no bound" in (tmp_path / "lamp.html").read_text()
     rows = np.array([[float(x) for x in r.split(",")] for r in table.read_text().splitlines() if r[0] != "#"])
