@@ -103,6 +103,11 @@ class DecayFit:
         errors: Array = np.sqrt(np.diag(self.covariance))[start : start + self.n_states]
         return errors
 
+    @property
+    def misses(self) -> bool:
+        """Whether it misses the data by more than chance: then there is no true rate to bracket."""
+        return misfit(self.chi2, self.dof) > 1
+
     def farthest_off(self) -> tuple[float, float]:
         """Return when the fit is farthest off by clearly more than noise, in s, and by which share of the signal."""
         data = self.data

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.fitting import excitation_report
-from phoslab.fitting.decay import MOST_STATES, DecayFit, misfit
+from phoslab.fitting.decay import MOST_STATES, DecayFit
 from phoslab.fitting.excitation import ExcitationFit
 from phoslab.fitting.excitation_series import ExcitationSeries
 from phoslab.fitting.holdout import NOISE_ALLOWANCE, HoldOut
@@ -18,6 +18,7 @@ from phoslab.fitting.lamp_light import LampLight
 from phoslab.fitting.reduction import ReducedDecay
 from phoslab.fitting.selection import Selection
 from phoslab.fitting.spectrum import Spectrum
+from phoslab.fitting.written import with_error
 from phoslab.material import Material
 
 Array = NDArray[np.float64]
@@ -76,11 +77,6 @@ class FitResult:
         return self.material.standard_error or {}
 
     @property
-    def misses(self) -> bool:
-        """Whether the decay's fit misses the data by more than chance: then there is no true rate to bracket."""
-        return misfit(self.fit.chi2, self.fit.dof) > 1
-
-    @property
     def why_states(self) -> str:
         """Why the decay has so many states, in a sentence."""
         n, tried = self.fit.n_states, [c.n_states for c in self.selection.candidates]
@@ -107,19 +103,18 @@ class FitResult:
         ]
         for i in range(fit.n_states):
             lines.append(
-                f"  kr[{i + 1}] [1/s]           {_with_share(fit.kr_per_s[i], fit.kr_standard_error[i])}"
+                f"  kr[{i + 1}] [1/s]           {with_error(fit.kr_per_s[i], fit.kr_standard_error[i], share=True)}"
                 f", 95 % in {self.interval95[i, 0]:.4g} .. {self.interval95[i, 1]:.4g}"
                 f"   (lifetime {1 / fit.kr_per_s[i]:.4g} s)"
             )
         for i in range(fit.n_states):
-            lines.append(
-                f"  A[{i + 1}] [signal]         {_with_share(fit.strength[i], fit.strength_standard_error[i])}"
-            )
+            strength = with_error(fit.strength[i], fit.strength_standard_error[i], share=True)
+            lines.append(f"  A[{i + 1}] [signal]         {strength}")
         lines.append(
             "  colour                  "
             + ", ".join(f"{c} {v:.4f}" for c, v in zip(data.channels, fit.colour, strict=True))
         )
-        if self.misses:
+        if self.fit.misses:
             lines.append(
                 "  (no bounds of true rates, since the model misses the data: of the nearest curve's)"
             )
@@ -167,18 +162,3 @@ class FitResult:
         for j, (mean, error) in enumerate(zip(means / means.max(), errors / means.max(), strict=True)):
             lines.append(f"  {self.material.bands.label(j)}".ljust(26) + f"{mean:.4f} ± {error:.4f}")
         return lines
-
-
-def with_error(value: float, error: float) -> str:
-    """Write `0.1320 ± 0.0011` or `37920 ± 750`: to two digits of the error."""
-    if not 0 < error < np.inf:
-        return f"{value:.2g} (not determined)"
-    decimals = 1 - int(np.floor(np.log10(error)))
-    shown = max(0, decimals)
-    return f"{round(value, decimals):.{shown}f} ± {round(error, decimals):.{shown}f}"
-
-
-def _with_share(value: float, error: float) -> str:
-    """Write `0.1320 ± 0.0011 (0.8%)`."""
-    share = f" ({error / value:.1%})" if 0 < error < np.inf and value > 0 else ""
-    return with_error(value, error) + share

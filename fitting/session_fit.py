@@ -48,7 +48,6 @@ Progress = Callable[[int, int], None]
 
 # More than noise explains: camera responses and emission spectra agree better than this when they belong together.
 _COLOUR_MISMATCH = 0.05
-_MISFIT = 2.0
 _FEW_DOF = 10
 OWN_BANDS = 24
 """Of a material with a spectrum of its own: half as wide as what the strip passes. As many as the paper has, 8, would
@@ -475,7 +474,7 @@ def _doubts(fit: DecayFit, mismatch: float, spectrum_of: str | None) -> list[str
             f"{fit.n_states} states were asked for, but the data do not tell them apart: "
             "one has no amplitude, or two have the same rate."
         )
-    if _misses(fit):
+    if fit.misses:
         t_s, share = fit.farthest_off()
         doubts.append(
             f"The fitted decay misses the measured one by up to {share:.1%}, after {t_s:.3g} s, which is more than "
@@ -505,11 +504,6 @@ def _doubts(fit: DecayFit, mismatch: float, spectrum_of: str | None) -> list[str
             "spectrum."
         )
     return doubts
-
-
-def _misses(fit: DecayFit) -> bool:
-    """Whether a fit misses the data by clearly more than their noise."""
-    return fit.chi2 > _MISFIT * fit.dof
 
 
 def _covariance(fit: DecayFit, channels: Sequence[str]) -> dict[str, Any] | None:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.fitting import decay
 from phoslab.fitting.decay import DecayFit, fit_decay
 from phoslab.fitting.missed import Miss, Run
 from phoslab.fitting.other_laws import OtherLaw
@@ -59,7 +58,7 @@ def of_fit(
             f"offset: a constant of up to {100 * share:.2g} % of the largest value was fitted: stray light, a dark "
             "value that was not taken off, or a state too slow to be seen falling."
         )
-    if sigma_known and decay.misfit(fit.chi2, fit.dof) > 1:
+    if sigma_known and fit.misses:
         by = "" if worst is None else f", by up to {worst.share:.0%} at {worst.t_s:.4g} s"
         flags.append(
             f"misfit: the fit misses the values by more than noise{by} (χ² / dof is {fit.chi2 / fit.dof:.3g}; 1 is "

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.errors import PhoslabError
-from phoslab.fitting import decay, decay_problem, extrapolation, noise, table_doubts
+from phoslab.fitting import decay_problem, extrapolation, noise, table_doubts
 from phoslab.fitting.decay import MOST_STATES, DecayFit, fit_decay
 from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.extrapolation import Beyond
@@ -69,7 +69,7 @@ class TableFit:
     @property
     def misses(self) -> bool:
         """Whether the data are no sum of so few exponentials: then there is no true rate to bracket."""
-        return bool(self.better_laws) or decay.misfit(self.fit.chi2, self.fit.dof) > 1
+        return bool(self.better_laws) or self.fit.misses
 
     @property
     def amplitude_standard_error(self) -> Array:

@@ -7,6 +7,7 @@ import numpy as np
 from phoslab.fitting import extrapolation, table_doubts
 from phoslab.fitting.other_laws import OtherLaw
 from phoslab.fitting.table_fit import TableFit
+from phoslab.fitting.written import by_chance, criterion, with_error
 
 
 def report(result: TableFit, name: str) -> str:
@@ -150,37 +151,3 @@ def linear(result: TableFit, channel: int) -> dict[str, str]:
     error = float(result.offset_standard_error[channel])
     found["offset"] = with_error(float(fit.offset[channel]), error) if fit.has_offset else "none"
     return found
-
-
-def with_error(value: float, error: float, *, share: bool = False) -> str:
-    """Write a value to the second digit of its error; `share` adds that error as a share of it."""
-    if value == 0:
-        return "0"
-    if not 0 < error < 1e3 * abs(value):
-        return f"{value:.4g} (error not determined)"
-    if 1e-4 <= abs(value) < 1e6:
-        decimals = int(np.clip(1 - np.floor(np.log10(error)), 0, 12))
-        text = f"{value:.{decimals}f} ± {error:.{decimals}f}"
-    else:
-        digits = int(np.clip(np.ceil(np.log10(abs(value) / error)) + 2, 2, 12))
-        text = f"{value:.{digits}g} ± {error:.2g}"
-    return text + (f" ({error / abs(value):.1%})" if share else "")
-
-
-def number(value: float) -> str:
-    """Write a number of statistics shortly, without an exponent where it is merely large; a dash for none."""
-    if not np.isfinite(value):
-        return "-"
-    return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
-
-
-def criterion(value: float) -> str:
-    """Write AICc or BIC, or that there are too few values for it."""
-    return f"{value:.5g}" if np.isfinite(value) else "-"
-
-
-def by_chance(p: float | None) -> str:
-    """Write a probability, or that there is none."""
-    if p is None:
-        return "-"
-    return f"{p:.2g}" if p >= 1e-9 else "< 1e-9"

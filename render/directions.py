@@ -38,12 +38,12 @@ def patterned_points(side: int, per_place: int, seed: int = 0) -> Array:
     return each
 
 
-def mixed_points(side: int, aimless: int, aimed: int) -> Array:
+def mixed_points(side: int, aimless: int, aimed: int, draw: int = 0) -> Array:
     """Return (side, side, aimless + aimed, 2) the points of a pixel's directions: first of those that do not aim.
 
-    Each kind is even on its own, as `patterned_points` has it.
+    Each kind is even on its own, as `patterned_points` has it; draws of other numbers share no point.
     """
-    kinds = [patterned_points(side, n, seed) for seed, n in enumerate((aimless, aimed)) if n]
+    kinds = [patterned_points(side, n, 2 * draw + kind) for kind, n in enumerate((aimless, aimed)) if n]
     return np.concatenate(kinds, axis=2)
 
 

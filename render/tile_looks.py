@@ -43,11 +43,13 @@ class Looks:
     count: int = 0
 
     @classmethod
-    def of(cls, device: Device, most: int, directions: int, parameters: TransportParameters) -> Looks:
-        """Make room for `most` pixels."""
+    def of(
+        cls, device: Device, most: int, directions: int, parameters: TransportParameters, draw: int = 0
+    ) -> Looks:
+        """Make room for `most` pixels; looks of another `draw` go into none of the same directions."""
         check_room(most * directions * 8, "what a picture's directions hit")
         aimed = round(directions * parameters.guided)
-        points = mixed_points(max(1, parameters.filter_px), directions - aimed, aimed)
+        points = mixed_points(max(1, parameters.filter_px), directions - aimed, aimed, draw)
         return cls(
             directions,
             directions - aimed,

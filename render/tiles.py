@@ -67,7 +67,7 @@ class Tiles:
         self.lit_cells = LitCells(device, surroundings, parameters)
         self._looks = Looks.of(device, w * h, parameters.directions, parameters)
         more = min(MORE * parameters.directions, MOST_MORE) if parameters.filter_px else 0
-        self._more = Looks.of(device, int(MOST * w * h), more, parameters) if more else None
+        self._more = Looks.of(device, int(MOST * w * h), more, parameters, 1) if more else None
         self._order = in_order((w, h), TILE, max(1, parameters.filter_px))
         self._looks.take(self._order)
         looks = self._looks.aimless

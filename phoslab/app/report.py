@@ -75,7 +75,7 @@ def _off_by(result: FitResult) -> str:
 
 def _states(result: FitResult) -> list[dict[str, Any]]:
     """The numbers of each state, ready to print."""
-    from phoslab.fitting.result import with_error
+    from phoslab.fitting.written import with_error
 
     fit = result.fit
     share = fit.strength / fit.kr_per_s

@@ -28,6 +28,7 @@ _NOISY = 50.0
 def write_page(path: str | os.PathLike[str], result: TableFit, name: str) -> None:
     """Write the page, whole or not at all."""
     from phoslab.fitting import table_report as text
+    from phoslab.fitting.written import by_chance, number
 
     fit = result.fit
     page = render(
@@ -37,8 +38,8 @@ def write_page(path: str | os.PathLike[str], result: TableFit, name: str) -> Non
         fit=fit,
         decay=svg(_figure(result)),
         misfit=text.misfit(result),
-        number=text.number,
-        by_chance=text.by_chance,
+        number=number,
+        by_chance=by_chance,
         rates=[
             {
                 "kr": text.rate(result, i),

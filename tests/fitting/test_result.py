@@ -107,7 +107,7 @@ def test_fewer_states_are_reported_as_a_misfit(green_decay):
     t_s, share = result.fit.farthest_off()
     assert f"by up to {share:.1%}, after {t_s:.3g} s" in said
     # 95 % intervals of a model that misses bracket no truth.
-    assert result.misses
+    assert result.fit.misses
     assert "no bounds of true rates" in result.report()
 
 
