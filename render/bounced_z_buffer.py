@@ -65,8 +65,7 @@ class BouncedZBuffer:
     def __init__(self, device: Device, surroundings: Surroundings, parameters: TransportParameters) -> None:
         self._device, self._around, self._parameters = device, surroundings, parameters
         w, h = surroundings.size
-        # One at least goes anywhere: what guides do not lead to is not lost then.
-        aimed = min(round(parameters.directions * parameters.guided), parameters.directions - 1)
+        aimed = parameters.aimed(parameters.directions)
         aimless = parameters.directions - aimed
         n, pattern = parameters.directions, max(1, parameters.filter_px)
         check_room(5 * w * h * n * 4, "what a picture's directions hit")

@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Of a plane of patterns, per pattern to the right and upwards, shifts that lie far apart: powers of the root of
+# x^5 = x + 1 (Roberts 2018).
+SHIFTS = np.array([[0.8566748838, 0.7338918566], [0.6287067210, 0.5385972572]])
+
 
 def ordered_places(side: int) -> NDArray[np.intp]:
     """Return (side, side) the numbers 0 .. side² - 1 as ordered dithering has them (Bayer 1973); side is 2^n."""
@@ -32,10 +36,14 @@ def patterned_points(side: int, per_place: int, seed: int = 0) -> Array:
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(2, scramble=True, rng=np.random.default_rng(seed))
-    n = side * side * per_place
-    points = sequence.random_base2(int(np.ceil(np.log2(n))) if n > 1 else 0)[:n]
+    points = sequence.random_base2(int(np.log2(strata(side, per_place))))[: side * side * per_place]
     each: Array = points.reshape(side * side, per_place, 2)[ordered_places(side)]
     return each
+
+
+def strata(side: int, per_place: int) -> int:
+    """Return into how many parts either side of the unit square falls, each with one of the points at most: 2^n."""
+    return 1 << max(side * side * per_place - 1, 0).bit_length()
 
 
 def mixed_points(side: int, aimless: int, aimed: int, draw: int = 0) -> Array:
@@ -45,6 +53,19 @@ def mixed_points(side: int, aimless: int, aimed: int, draw: int = 0) -> Array:
     """
     kinds = [patterned_points(side, n, 2 * draw + kind) for kind, n in enumerate((aimless, aimed)) if n]
     return np.concatenate(kinds, axis=2)
+
+
+def over_picture(points: Array, size: tuple[int, int]) -> Array:
+    """Return (height, width, per_place, 2) the points of every pixel, as the shader has them.
+
+    Each pattern has them elsewhere in their strata: what the filter brings together are not the same few points again.
+    """
+    side, n = points.shape[0], strata(points.shape[0], points.shape[2])
+    y, x = np.indices(size[::-1])
+    shift = np.stack([x // side, y // side], axis=-1) @ SHIFTS
+    stratum = points[y % side, x % side] * n
+    moved: Array = (np.floor(stratum) + (stratum + shift[:, :, None]) % 1.0) / n
+    return moved
 
 
 def on_hemisphere(points: Array) -> Array:

@@ -38,7 +38,8 @@ class TransportParameters:
     Args:
         method: a name in `glow_methods.METHODS`, or "none".
         directions: in which a pixel looks for glow, 1 to 256 (tiles, dss-z).
-        guided: the share of the directions that aim at what may send light (tiles, dss-z).
+        guided: the share of the directions that aim at what may send light (tiles, dss-z); None: 7/8 where tiles
+            gather what glows alone, 1/2 otherwise.
         filter_px: pixels to each side over which a pixel shares its neighbours' directions: 0, 2, 4 or 8 (tiles).
         cell: the radius of the smallest cell, as a share of the scene's (tiles).
         detail: the radius over the distance that no cell exceeds, unless it is one of the smallest (tiles).
@@ -56,7 +57,7 @@ class TransportParameters:
 
     method: str = NONE
     directions: int = 8
-    guided: float = 0.5
+    guided: float | None = None
     filter_px: int = 4
     cell: float = 1 / 40
     detail: float = 0.3
@@ -72,7 +73,8 @@ class TransportParameters:
 
     def __post_init__(self) -> None:
         self._check("the number of directions", self.directions, 1, MOST_DIRECTIONS)
-        self._check("the share of guided directions", self.guided, 0.0, 1.0)
+        if self.guided is not None:
+            self._check("the share of guided directions", self.guided, 0.0, 1.0)
         self._check("the number of samples", self.samples, 1, 1 << 20)
         self._check("the seed", self.seed, 0, (1 << 20) - 1)
         self._check("the cells' radius", self.cell, 1e-3, 1.0)
@@ -87,6 +89,17 @@ class TransportParameters:
                 field="the filter's radius",
                 remedy=f"Use one of: {', '.join(map(str, FILTER_RADII))}.",
             )
+
+    def aimed(self, directions: int) -> int:
+        """How many of so many directions of a pixel aim; one at least goes anywhere.
+
+        Tiles aim at all that glows, and each point of it has its turn: of `corridor` at 8 directions, 7/8 leave half of
+        the error of 1/2. dss-z aims at spheres around it, and what surfaces reflect of each other is everywhere.
+        """
+        share = self.guided
+        if share is None:
+            share = 7 / 8 if self.method == "tiles" and not self.sends_on else 1 / 2
+        return min(round(directions * share), directions - 1)
 
     @property
     def follows_cells(self) -> bool:

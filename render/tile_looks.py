@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.render.device import Device
-from phoslab.render.directions import mixed_points
+from phoslab.render.directions import mixed_points, strata
 from phoslab.render.glow_transport import TransportParameters
 from phoslab.render.memory import check_room
 
@@ -30,6 +30,8 @@ class Looks:
 
     Attributes:
         directions, aimless: of each; those that do not aim come first.
+        strata: of equal width along each side of the unit square, in each of which lies one of a pattern's points, at
+            most: of the aimless, and of those that aim.
         points: a buffer of (pattern², directions, 2) points of the unit square.
         pixels: a buffer of their numbers, row by row from the lowest; `count` of them.
         hits: a buffer of what each direction meets.
@@ -37,6 +39,7 @@ class Looks:
 
     directions: int
     aimless: int
+    strata: tuple[int, int]
     points: moderngl.Buffer
     pixels: moderngl.Buffer
     hits: moderngl.Buffer
@@ -48,15 +51,25 @@ class Looks:
     ) -> Looks:
         """Make room for `most` pixels; looks of another `draw` go into none of the same directions."""
         check_room(most * directions * 8, "what a picture's directions hit")
-        aimed = round(directions * parameters.guided)
-        points = mixed_points(max(1, parameters.filter_px), directions - aimed, aimed, draw)
+        aimed = parameters.aimed(directions)
+        pattern = max(1, parameters.filter_px)
+        points = mixed_points(pattern, directions - aimed, aimed, draw)
         return cls(
             directions,
             directions - aimed,
+            (strata(pattern, directions - aimed), strata(pattern, aimed)),
             device.buffer(points.astype(np.float32)),
             device.buffer(np.zeros(most, dtype=np.uint32)),
             device.buffer(np.zeros((most * directions, 2), dtype=np.uint32)),
         )
+
+    @property
+    def defines(self) -> dict[str, int | str]:
+        """As the shaders have them."""
+        strata = {
+            f"{kind}_STRATA": f"{n}.0" for kind, n in zip(("AIMLESS", "AIMED"), self.strata, strict=True)
+        }
+        return {"DIRECTIONS": self.directions, "AIMLESS": self.aimless, **strata}
 
     def take(self, pixels: NDArray[np.intp]) -> None:
         """Let these look."""

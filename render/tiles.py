@@ -81,12 +81,19 @@ class Tiles:
 
     def _program(self, name: str, *defines: str, looks: Looks | None = None) -> moderngl.ComputeShader:
         """Return a shader with those of the defines that it uses: fewer variants are built."""
-        more = {} if looks is None else {"DIRECTIONS": looks.directions, "AIMLESS": looks.aimless}
-        known = {**self._defines, **more}
+        known = {**self._defines, **({} if looks is None else looks.defines)}
         return self._device.compute(name, {d: known[d] for d in defines})
 
     def _hit_shader(self, looks: Looks) -> moderngl.ComputeShader:
-        names = ("SUPERSAMPLING", "DIRECTIONS", "AIMLESS", "PATTERN", "BATCH")
+        names = (
+            "SUPERSAMPLING",
+            "DIRECTIONS",
+            "AIMLESS",
+            "AIMLESS_STRATA",
+            "AIMED_STRATA",
+            "PATTERN",
+            "BATCH",
+        )
         return self._program("tile_hits", *names, looks=looks)
 
     def prepare(self) -> None:

@@ -4,6 +4,10 @@
 // The first AIMLESS directions crowd as the cosine; the others aim at points of cells that glow, and count where they meet
 // the cell that they were aimed at. Both find the points that are seen from the pixel, and are one sample by the balance
 // heuristic (Veach and Guibas 1995): either density follows from the point that was met.
+//
+// Every pattern of pixels has the same points, and all pixels of a tile aim by one list: a cell that one point too many
+// aims at would be too bright in all patterns of a tile, and the picture a quilt. So each pattern has its points elsewhere
+// in their strata: whatever pixels the filter brings together, they keep one point in each.
 layout(local_size_x = 64) in;
 #include "items.glsl"
 #include "receivers.glsl"
@@ -29,6 +33,8 @@ uniform bool is_first; // whether what is near is not known yet
 const uint NONE = ~0u;
 const float INV_PI = 0.318309886;
 const float SHARE = float(AIMLESS) / float(DIRECTIONS);
+// Of a plane of patterns, shifts that lie far apart: powers of the root of x^5 = x + 1 (Roberts 2018).
+const mat2 SHIFTS = mat2(0.8566748838, 0.7338918566, 0.6287067210, 0.5385972572);
 
 // The direction from o to a point of one of the list's cells, chosen by what they promise.
 vec3 aim(vec3 o, vec2 u, uint begin, uint end, float total, out uint cell) {
@@ -68,9 +74,11 @@ void main() {
     vec3 x, y;
     find_basis(ray.n, x, y);
     int place = (pixel.y % PATTERN) * PATTERN + pixel.x % PATTERN;
+    vec2 shift = SHIFTS * vec2(pixel / PATTERN);
     float near = first == 0 ? 1e-30 : nearness[at_pixel];
     for (int k = first; k < min(first + BATCH, DIRECTIONS); ++k) {
-        vec2 u = points[place * DIRECTIONS + k];
+        vec2 stratum = points[place * DIRECTIONS + k] * (k < AIMLESS ? AIMLESS_STRATA : AIMED_STRATA);
+        vec2 u = (floor(stratum) + fract(stratum + shift)) / (k < AIMLESS ? AIMLESS_STRATA : AIMED_STRATA);
         uint aimed = NONE;
         if (k < AIMLESS || total <= 0.0) {
             vec3 w = on_hemisphere(u);

@@ -67,7 +67,10 @@ class Costs:
 def unlike(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
     """Return how far apart two settings of a way are: in doublings."""
     names = [f.name for f in fields(TransportParameters) if f.name not in ("method", "seed", "full")]
-    x, y = (np.array([float(some.get(n, getattr(TransportParameters, n))) for n in names]) for some in (a, b))
+    x, y = (
+        np.array([float(some.get(n, getattr(TransportParameters, n)) or 0.0) for n in names])
+        for some in (a, b)
+    )
     return float(np.abs(np.log2((1 + x) / (1 + y))).sum())
 
 

@@ -30,7 +30,7 @@ def test_closed_box_of_albedo_and_emission_one_half_reads_three_quarters(build, 
 def test_no_cell_is_lost_where_a_walk_takes_more_rounds_than_a_loop_has(build, rooms, device):
     """llvmpipe ends a shader's loops after 65535 rounds in all, and says nothing: half of the walls would be gone."""
     path = rooms.closed_box(build).write()
-    _, tiled = hits_of(device, path, (16, 16), cell=0.006, detail=0.01)
+    _, tiled = hits_of(device, path, (16, 16), cell=0.006, detail=0.01, guided=0.5)
     assert len(tiled.cells.skip) > 65535
     assert tiled.aim_counts.max() > 65535
     hits = tiled.hits() > 0
@@ -95,14 +95,13 @@ def test_every_ray_meets_what_a_search_of_all_smallest_cells_finds(device):
 def test_rays_agree_with_a_brute_force_search(device, build, rooms):
     """Each of 16 directions of each pixel, against the disk's equation."""
     from phoslab.render.device import read_texture
-    from phoslab.render.directions import on_hemisphere, patterned_points
+    from phoslab.render.directions import on_hemisphere, over_picture, patterned_points
 
     n, side = 16, 4
     path = rooms.facing_disks(build).write()
     renderer, tiled = hits_of(device, path, (32, 32), directions=n, filter_px=side, guided=0.0)
     met = tiled.hits() > 0
-    y, x = np.mgrid[:32, :32]
-    w = on_hemisphere(patterned_points(side, n))[y % side, x % side]
+    w = on_hemisphere(over_picture(patterned_points(side, n), (32, 32)))
     position = read_texture(renderer.gbuffer.position_w)
     seen = position[..., 3] > 0
     at = position[..., None, :2] + w[..., :2] * (rooms.APART / w[..., 2:])
@@ -112,8 +111,9 @@ def test_rays_agree_with_a_brute_force_search(device, build, rooms):
 
 
 def test_directions_are_even_over_any_block_as_wide_as_the_pattern():
-    """Moments of the cosine over π: mean z 2/3, mean z² 1/2, mean x 0; and every direction once in any 8 x 8 block."""
-    from phoslab.render.directions import on_hemisphere, ordered_places, patterned_points
+    """Moments of the cosine over π: mean z 2/3, mean z² 1/2, mean x 0; and one point in each stratum in any block of
+    8 x 8, though no two patterns have the same."""
+    from phoslab.render.directions import on_hemisphere, ordered_places, over_picture, patterned_points
 
     places = ordered_places(8)
     assert sorted(places.ravel()) == list(range(64))
@@ -124,6 +124,12 @@ def test_directions_are_even_over_any_block_as_wide_as_the_pattern():
     np.testing.assert_allclose(np.sum(w**2, axis=1), 1.0)
     np.testing.assert_allclose(w.mean(axis=0), [0, 0, 2 / 3], atol=2 / 256)
     assert np.mean(w[:, 2] ** 2) == pytest.approx(0.5, abs=2 / 256)
+    points = over_picture(patterned_points(8, 4), (32, 24))
+    assert len(np.unique(points[..., 0])) == points[..., 0].size
+    for y, x in ((0, 0), (3, 5), (13, 20)):
+        block = points[y : y + 8, x : x + 8].reshape(-1, 2)
+        for axis in range(2):
+            assert sorted((block[:, axis] * 256).astype(int)) == list(range(256))
 
 
 @pytest.mark.parametrize("supersampling", [1, 2])
