@@ -29,7 +29,7 @@ SETTINGS: dict[str, list[dict[str, Any]]] = {
         {"directions": 2},
         {"directions": 32},
         {"directions": 128},
-        {"directions": 128, "cell": 1 / 160, "detail": 0.15},
+        {"directions": 128, "cell": 1 / 400, "detail": 0.05},
     ],
     "dss": [{}, {"surfel": 0.04, "epsilon": 0.1}, {"epsilon": 0.005}, {"surfel": 0.01, "epsilon": 0.005}],
     "dss-z": [{}, {"directions": 1}, {"directions": 4}, {"guided": 0.0}, {"epsilon": 0.005, "filter_px": 8}],
