@@ -286,7 +286,10 @@ def _conclude(best: _Found, data: ExcitationData, limits: bool) -> ExcitationFit
     into = data.band_means
     problem, theta, n_c = best.problem, best.search.theta, best.problem.n_c
     misfit = 1.0 if best.follows else max(1.0, best.search.chi2 / best.dof)
-    covariance = covariance_of(best.search.jacobian) * misfit
+    # What the model misses of the series is not the decay's: that enters with errors of its own.
+    jacobian = best.search.jacobian.copy()
+    jacobian[: data.signal.size] /= np.sqrt(misfit)
+    covariance = covariance_of(jacobian)
     fine, fine_by = problem.ke(theta)
     ke, ke_by = fine @ into.T, np.einsum("bj,ijp->ibp", into, fine_by)
     log_gain, gain_by, initial = problem.gain(theta)

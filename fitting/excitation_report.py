@@ -121,7 +121,7 @@ def lines(fit: ExcitationFit) -> list[str]:
     shape = "one spectrum for all states" if fit.common_shape else "a spectrum of its own for each state"
     told = [
         f"[[excitation: {fit.n_states} state{'s' if fit.n_states > 1 else ''}, {shape}]]",
-        f"  chi-square / dof        {fit.chi2:.4g} / {fit.dof} = {fit.chi2 / max(fit.dof, 1):.3g}"
+        f"  χ² / dof                {fit.chi2:.4g} / {fit.dof} = {fit.chi2 / max(fit.dof, 1):.3g}"
         + (", the model's own misfit counted as noise" if fit.discrepancy else ""),
     ]
     if np.isfinite(fit.level_error).any():
@@ -137,16 +137,16 @@ def lines(fit: ExcitationFit) -> list[str]:
     for i in range(fit.n_states):
         loose = fit.product_only[i]
         told += [
-            f"[[state {i}{', only Λ ke is determined' if loose else ''}]]",
+            f"[[state {i + 1}{', only Λ ke is determined' if loose else ''}]]",
             f"  a under the lamp [1/s]  {excitation_of(fit, i)}",
             f"  r when the lamp went off  {initial_of(fit, i)}",
             f"  correlation of log a    {fit.correlation[i, 0]:+.2f} with log Λ, "
-            f"{fit.correlation[i, 1]:+.2f} with log r(0)",
+            f"{fit.correlation[i, 1]:+.2f} with log r(0) (near ±1: one is known only with the other)",
         ]
         if not fit.common_shape:
             told += [_rate(fit, i, j) for j in range(fit.bands.n)]
     if fit.common_shape:
-        told.append("[[ke of every state: its a, times]]")
+        told.append("[[ke of every state in m²/J: its a under the lamp, times]]")
         told += [_shape(fit, j) for j in range(fit.bands.n)]
     return told
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
+from scipy.stats import kendalltau
 
 from phoslab.fitting.decay import DecayFit, fit_decay, misfit
 from phoslab.fitting.decay_data import DecayData
@@ -21,7 +22,7 @@ _NOTHING = 3.0
 
 
 def not_falling(data: DecayData, channel: int, *, sigma_known: bool) -> str | None:
-    """Return why a channel tells no rate, or None where a decay describes it better than a constant does.
+    """Return why a channel tells no rate; None where it falls in rank, or a decay describes it better than a constant.
 
     Args:
         channel: its index.
@@ -29,6 +30,9 @@ def not_falling(data: DecayData, channel: int, *, sigma_known: bool) -> str | No
     """
     used = data.used[:, channel]
     if used.sum() < _FEWEST:
+        return None
+    # Few values leave few degrees of freedom, where one exponential alone may be as far off as a constant is.
+    if kendalltau(data.t_s[used], data.signal[used, channel], alternative="less").pvalue < _CHANCE:
         return None
     one = DecayData(
         data.t_s[used], data.exposure_s[used], data.signal[used, channel, None], data.sigma[used, channel, None],

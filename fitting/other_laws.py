@@ -30,6 +30,7 @@ class OtherLaw:
         parameters: by name.
         undetermined: names of those that the values do not tell to within a factor of e.
         chi2, aicc: to compare with the exponentials'.
+        n_parameters: of its shape and of all channels' amplitudes.
         course: (n, n_channels) the modelled signal.
     """
 
@@ -38,6 +39,7 @@ class OtherLaw:
     undetermined: frozenset[str]
     chi2: float
     aicc: float
+    n_parameters: int
     course: Array
 
 
@@ -107,4 +109,4 @@ def fit_law(data: DecayData, name: str, near: OtherLaw | None = None) -> OtherLa
     course = (law(best.theta, inside)[0] @ _WEIGHTS / 2)[:, None] * best.linear[:, 0]
     error = np.sqrt(np.diag(varpro.covariance(basis, best))[: len(names)] * max(1.0, best.chi2 / (n - p)))
     unknown = frozenset(n for n, e in zip(names, error, strict=True) if not e < 1)
-    return OtherLaw(name, values, unknown, best.chi2, aicc, course)
+    return OtherLaw(name, values, unknown, best.chi2, aicc, p, course)

@@ -61,7 +61,7 @@ STANDARDS = (
     # How long the 25 lx shine is not in the sources at hand.
     Standard(
         "IMO / ISO 15370", "25 lx", 25.0, float("nan"), (10, 60), {"pass": (15, 2)},
-        "if lamp and length of light were the standard's",
+        "if lamp and length of light were the standard's, which the sources at hand do not tell",
     ),
 )  # fmt: skip
 

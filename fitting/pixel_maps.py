@@ -134,7 +134,7 @@ class PixelMaps:
         for i, row in enumerate(self.spread()):
             varies = "varies over the sample" if row["excess"] > _VARIES else "as much as its errors explain"
             lines.append(
-                f"  kr[{i}] [1/s]           median {row['median']:.4g}, two thirds in {row['low16']:.4g} .. "
+                f"  kr[{i + 1}] [1/s]           median {row['median']:.4g}, two thirds in {row['low16']:.4g} .. "
                 f"{row['high84']:.4g}; error of a pixel {row['error']:.2g}: {varies}"
             )
         lines.append("[[warnings of the pixels]]")

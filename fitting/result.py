@@ -98,7 +98,7 @@ class FitResult:
             f"[[{self.material.name}: decay, {fit.n_states} exponential{'s' if fit.n_states > 1 else ''}]]",
             f"  frames                  {data.t_s.size}, from {data.t_s[0]:.3g} s to {data.end_s:.4g} s after lamp-off",
             f"  values used             {data.n_values} of {data.sigma.size}",
-            f"  chi-square / dof        {fit.chi2:.4g} / {fit.dof} = {fit.chi2 / fit.dof:.3g}",
+            f"  χ² / dof                {fit.chi2:.4g} / {fit.dof} = {fit.chi2 / fit.dof:.3g}",
             "[[parameters]]",
         ]
         for i in range(fit.n_states):
@@ -109,7 +109,7 @@ class FitResult:
             )
         for i in range(fit.n_states):
             strength = with_error(fit.strength[i], fit.strength_standard_error[i], share=True)
-            lines.append(f"  A[{i + 1}] [signal]         {strength}")
+            lines.append(f"  A[{i + 1}] [DN/s]           {strength}")
         lines.append(
             "  colour                  "
             + ", ".join(f"{c} {v:.4f}" for c, v in zip(data.channels, fit.colour, strict=True))
@@ -157,7 +157,7 @@ class FitResult:
         lines = [
             "[[emission spectrum]]",
             f"  peak                    {self.spectrum.peak_nm:.1f} nm",
-            f"  misfit                  {self.spectrum.scaled_misfit:.2f} of what noise and calibration explain",
+            f"  misfit                  {self.spectrum.scaled_misfit:.2f} of noise and calibration; 1 is right",
         ]
         for j, (mean, error) in enumerate(zip(means / means.max(), errors / means.max(), strict=True)):
             lines.append(f"  {self.material.bands.label(j)}".ljust(26) + f"{mean:.4f} ± {error:.4f}")

@@ -62,11 +62,14 @@ class Selection:
         candidates: in order of states, without offset first.
         chosen: one of them.
         votes: the candidate that each criterion would choose: AICc, BIC, F-test, cross-validation.
+        rival: the larger candidate that looks best beside the chosen one, and how often chance alone would make it look
+            so; None if there is none.
     """
 
     candidates: tuple[Candidate, ...]
     chosen: Candidate
     votes: dict[str, Candidate]
+    rival: tuple[Candidate, float] | None = None
 
     @property
     def dissent(self) -> list[str]:
@@ -117,7 +120,7 @@ def select(
             else chance(smaller, fit, sigma_known=sigma_known, approximate=approximate)
         )
         candidates.append(Candidate(fit, p, cv, cv_error))
-    decided = _decide(candidates, sigma_known, approximate)
+    decided, rival = _decide(candidates, sigma_known, approximate)
     sound = [c for c in candidates if c.sound] or candidates[:1]
     votes = {
         "AICc": min(sound, key=lambda c: c.fit.aicc),
@@ -132,7 +135,7 @@ def select(
         votes["cross-validation"] = min(
             (c for c in validated if (c.cross_validation or 0.0) <= bar), key=lambda c: c.fit.n_parameters
         )
-    return Selection(tuple(candidates), decided, votes)
+    return Selection(tuple(candidates), decided, votes, rival)
 
 
 def _share_weights(data: DecayData, most_states: int, *, rank_one: bool) -> DecayData:
@@ -167,8 +170,11 @@ def chance(
     return float(fdtrc(extra, larger.dof, gained / extra / scatter))
 
 
-def _decide(candidates: Sequence[Candidate], sigma_known: bool, approximate: bool) -> Candidate:
-    """Return the smallest candidate that no larger, sound one which contains it beats by more than chance."""
+def _decide(
+    candidates: Sequence[Candidate], sigma_known: bool, approximate: bool
+) -> tuple[Candidate, tuple[Candidate, float] | None]:
+    """Return the smallest candidate that no larger, sound one which contains it beats by more than chance, and the
+    one that comes nearest to it."""
     ladder = sorted((c for c in candidates if c.sound), key=lambda c: c.fit.n_parameters) or list(candidates)
     for here in ladder:
         larger = [
@@ -178,10 +184,13 @@ def _decide(candidates: Sequence[Candidate], sigma_known: bool, approximate: boo
             and c.n_states + c.fit.has_offset >= here.n_states + here.fit.has_offset
             and c.n_states >= here.n_states
         ]
-        chances = (chance(here.fit, c.fit, sigma_known=sigma_known, approximate=approximate) for c in larger)
-        if all(p >= SIGNIFICANCE for p in chances):
-            return here
-    return ladder[-1]
+        chances = [
+            (c, chance(here.fit, c.fit, sigma_known=sigma_known, approximate=approximate)) for c in larger
+        ]
+        rival = min(chances, key=lambda one: one[1], default=None)
+        if rival is None or rival[1] >= SIGNIFICANCE:
+            return here, rival
+    return ladder[-1], None
 
 
 def _cross_validation(data: DecayData, fit: DecayFit) -> tuple[float | None, float | None]:

@@ -113,7 +113,11 @@ def fit_session(
         emission, emission_error = re_radiation(fit, shape, beta, rates.initial)
     else:
         kr = measured.fit.kr_per_s
-        kr_error = kr * np.sqrt(np.diag(measured.fit.covariance)[: kr.size])
+        kr_error = (
+            fit.kr_standard_error
+            if measured.fit.discrepancy
+            else kr * np.sqrt(np.diag(measured.fit.covariance)[: kr.size])
+        )
         gain = measured.fit.amplitude / (kr * measured.fit.initial)
         emission = beta * gain[:, None] * shape
         emission_error = emission * measured.fit.gain_error[:, None]

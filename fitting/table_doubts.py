@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 _FEW_DOF = 10
 # A state less that so often looks as bad by chance is no worse.
 _AS_GOOD = 0.05
-# A law is said to fit better if AICc is less by this.
+# A law is said to fit better if AICc, and AIC without its correction for few values, are less by this.
 _BETTER = 2.0
 # What is as usual, and good to know; everything else spoils something.
 _USUAL = ("sigma-estimated", "criteria-disagree", "unsorted", "repeated-times", "extrapolated")
@@ -51,12 +51,19 @@ def of_fit(
             "no amplitude, two have the same rate, or one is as constant as the offset."
         )
     if auto and selection.dissent:
-        flags.append(f"criteria-disagree: on the number of states ({votes(selection)}); the F-test decides.")
-    if fit.has_offset:
-        share = float(np.max(np.abs(fit.offset) / np.abs(fit.data.signal).max(axis=0)))
+        others = [name for name in selection.votes if name != "F-test"]
+        code = "outvoted" if selection.dissent == others else "criteria-disagree"
+        other = next(iter(selection.votes[name].n_states for name in selection.dissent))
         flags.append(
-            f"offset: a constant of up to {100 * share:.2g} % of the largest value was fitted: stray light, a dark "
-            "value that was not taken off, or a state too slow to be seen falling."
+            f"{code}: the criteria disagree on the number of states ({votes(selection)}); the F-test decides. To take "
+            f"another: --states {other}."
+        )
+    if fit.has_offset:
+        c, share = _largest_constant(fit)
+        flags.append(
+            f"offset: a constant was fitted, in {fit.data.channels[c]} {fit.offset[c]:.3g}, {share:.0%} of its last "
+            "value: stray light, a dark value that was not taken off, or glow too slow to be seen falling. The reading "
+            "without the sample tells: subtract it, and fit with --offset none."
         )
     if sigma_known and fit.misses:
         by = "" if worst is None else f", by up to {worst.share:.0%} at {worst.t_s:.4g} s"
@@ -73,6 +80,14 @@ def of_fit(
     if fit.dof <= 0:
         flags.append("no-dof: as many parameters as values: nothing is left to tell how good the fit is.")
     return flags
+
+
+def _largest_constant(fit: DecayFit) -> tuple[int, float]:
+    """Return the channel in which a fitted constant is most of the last value, and how much."""
+    last = [fit.data.signal[np.flatnonzero(used)[-1], c] for c, used in enumerate(fit.data.used.T)]
+    share = np.abs(fit.offset) / np.maximum(np.abs(last), 1e-300)
+    c = int(np.argmax(share))
+    return c, float(share[c])
 
 
 def votes(selection: Selection) -> str:
@@ -169,7 +184,14 @@ def of_run(fit: DecayFit, run: Run, estimated: Noise | None) -> str:
 
 def better_laws(fit: DecayFit, laws: Sequence[OtherLaw]) -> list[OtherLaw]:
     """Return the laws that fit better than the exponentials, the best first; none where AICc tells nothing."""
-    better = [law for law in laws if law.aicc < fit.aicc - _BETTER and np.isfinite(fit.aicc)]
+    aic = fit.chi2 + 2 * fit.n_parameters
+    better = [
+        law
+        for law in laws
+        if np.isfinite(fit.aicc)
+        and law.aicc < fit.aicc - _BETTER
+        and law.chi2 + 2 * law.n_parameters < aic - _BETTER
+    ]
     return sorted(better, key=lambda law: law.aicc)
 
 

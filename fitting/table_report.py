@@ -96,7 +96,16 @@ def choice(result: TableFit) -> str:
     """Return what each criterion would choose, or that there was no choice."""
     if len(result.selection.candidates) == 1:
         return "No other was tried: not asked for, or more than so few values can tell."
-    return f"The criteria would choose: {table_doubts.votes(result.selection)}. The F-test decides."
+    return f"{_rival(result)}The criteria would choose: {table_doubts.votes(result.selection)}. The F-test decides."
+
+
+def _rival(result: TableFit) -> str:
+    """Return what comes nearest to beat the choice."""
+    if result.selection.rival is None:
+        return ""
+    candidate, p = result.selection.rival
+    name = f"{candidate.n_states} state{'s' * (candidate.n_states > 1)}{' and an offset' * candidate.fit.has_offset}"
+    return f"Of those that contain it, {name} come{'s' * (candidate.n_states == 1)} nearest: {by_chance(p)} (F-test). "
 
 
 def extrapolated_back(result: TableFit) -> str:

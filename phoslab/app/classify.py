@@ -61,6 +61,16 @@ def run(args: argparse.Namespace) -> int:
         from phoslab.photometry import luminance
 
         material = Material.load(args.decay)
+        if loose := (material.provenance or {}).get("product_only"):
+            which = ", ".join(str(i + 1) for i in loose)
+            raise PhoslabError(
+                f"tells only the product of light and excitation of state {which}: how bright the sample is when every "
+                "state is full, as after a standard's charge, is not known",
+                file=args.decay,
+                field="provenance.product_only",
+                remedy="Record an excitation series in which the glow saturates, or classify a decay that was measured "
+                "after the standard's charge.",
+            )
         absolute = material.calibration == "absolute"
         first, reach = material.valid_s or (0.0, math.inf)
 
@@ -108,6 +118,7 @@ def run(args: argparse.Namespace) -> int:
                     "of_the_start": ratios,
                     "verdicts": [{**vars(v), "luminance_mcd": dict(v.luminance_mcd)} for v in verdicts],
                     "din_67510_style": label,
+                    "din_67510_condition": pc.DIN.unchecked if label else None,
                     "flags": list(flags),
                     "note": pc.SOURCE,
                 },

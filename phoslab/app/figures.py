@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+CHANNEL_COLOURS = {"R": "#c0392b", "G": "#1e8449", "B": "#2455a4"}
+
 
 def svg(figure: Figure) -> str:
     """Return a figure as an <svg> element whose text is text, the same for the same figure."""

@@ -236,9 +236,9 @@ def _previews(maps: PixelMaps, folder: Path) -> list[tuple[str, str]]:
     for i in range(fit.n_states):
         has = maps.fitted & (fits.amplitude[:, i] > 0)
         for name, values, unit, caption in (
-            (f"kr{i}", fits.kr_per_s, "1/s", f"kr[{i}]: re-radiation rate"),
-            (f"kr{i}_error", fits.kr_error, "1/s", f"kr[{i}]: its standard error"),
-            (f"amplitude{i}", fits.amplitude, "signal", f"A[{i}]: light of that state at lamp-off"),
+            (f"kr{i + 1}", fits.kr_per_s, "1/s", f"kr[{i + 1}]: re-radiation rate"),
+            (f"kr{i + 1}_error", fits.kr_error, "1/s", f"kr[{i + 1}]: its standard error"),
+            (f"amplitude{i + 1}", fits.amplitude, "signal", f"A[{i + 1}]: light of that state at lamp-off"),
         ):
             shown = np.where(has & np.isfinite(values[:, i]), values[:, i], np.nan)
             _draw(folder / f"{name}.png", shown.reshape(maps.shape), f"{caption} [{unit}]")

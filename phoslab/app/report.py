@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phoslab.app.figures import svg
+from phoslab.app.figures import CHANNEL_COLOURS, svg
 from phoslab.app.pages import render
 from phoslab.files import write_text
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from phoslab.fitting import FitResult
     from phoslab.fitting.excitation import ExcitationFit
     from phoslab.fitting.result import MeasuredExcitation
-
-_CHANNEL_COLOURS = ("#c0392b", "#1e8449", "#2455a4")
 
 
 @dataclass(frozen=True)
@@ -60,6 +58,7 @@ def write_report(
         rise=None if found is None else svg(_excitation_figure(found)),
         excited=[] if found is None else _excited(found),
         level=None if found is None else f"{np.nanmedian(np.abs(found.fit.level_error)):.1%}",
+        loose=[] if found is None else [i + 1 for i, loose in enumerate(found.fit.product_only) if loose],
         calibration=_calibration(result),
         pictures=[(data_uri(p.path), p.caption) for p in pictures],
         notes=notes,
@@ -127,7 +126,7 @@ def _decay_figure(result: FitResult) -> Figure:
     t = np.linspace(0, middle[-1], 400)
     curve = fit.predict(t, np.zeros_like(t))
     predicted = fit.predict(data.t_s, data.exposure_s)
-    for c, (channel, colour) in enumerate(zip(data.channels, _CHANNEL_COLOURS, strict=True)):
+    for c, (channel, colour) in enumerate(zip(data.channels, CHANNEL_COLOURS.values(), strict=True)):
         used = data.used[:, c]
         upper.errorbar(
             middle[used],

@@ -98,7 +98,9 @@ def run(args: argparse.Namespace) -> int:
         "" if end is None else f"; the end, {end:.0f} nm, is as high within its error: it may go on rising"
     )
     lines.append(f"    peak        {result.peak_nm:.1f} nm{beyond}")
-    lines.append(f"    misfit      {result.scaled_misfit:.2f} of what noise and calibration explain")
+    lines.append(
+        f"    misfit      {result.scaled_misfit:.2f} of what noise and calibration explain; 1 is right"
+    )
     lines.append(f"    strip       moved by {result.shift_px:+.2f} px along itself since the calibration")
     lines.append("[[Band means]]  (1 at the spectrum's highest)")
     for j in range(bands.n):

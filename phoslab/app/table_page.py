@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phoslab.app.figures import svg
+from phoslab.app.figures import CHANNEL_COLOURS, svg
 from phoslab.app.pages import render
 from phoslab.files import write_text
 
@@ -38,6 +38,7 @@ def write_page(path: str | os.PathLike[str], result: TableFit, name: str) -> Non
         fit=fit,
         decay=svg(_figure(result)),
         misfit=text.misfit(result),
+        sigma_given=result.sigma == "given",
         number=number,
         by_chance=by_chance,
         rates=[
@@ -80,7 +81,7 @@ def _figure(result: TableFit) -> Figure:
     curve, predicted = fit.predict(t, np.zeros_like(t)), fit.predict(data.t_s, data.exposure_s)
     widest = 0.0
     for c, channel in enumerate(data.channels):
-        used, colour = data.used[:, c], f"C{c}"
+        used, colour = data.used[:, c], CHANNEL_COLOURS.get(channel, f"C{c}")
         sigma = data.total_sigma[used, c]
         upper.errorbar(
             middle[used], data.signal[used, c], sigma, fmt="o", ms=3, lw=0.8, color=colour, label=channel

@@ -327,6 +327,8 @@ def test_a_sample_that_does_not_follow_the_model_is_met_at_its_level_and_its_ris
     truth = replace(truth, charge=replace(truth.charge, amplitude=1.8 * truth.charge.amplitude))
     fit = fit_excitation(truth.data, truth.charge)
     assert fit.discrepancy > 0.01
+    # What the series misses widens no error of the decay's.
+    assert np.sqrt(fit.covariance[0, 0]) <= np.sqrt(truth.charge.covariance[0, 0]) * (1 + 1e-6)
     assert np.nanmedian(np.abs(fit.level_error)) < 0.02
     assert abs(fit.rise_ratio - 1) > 0.05
     said = report(fit)

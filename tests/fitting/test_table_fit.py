@@ -374,6 +374,42 @@ def test_a_light_that_is_not_seen_to_fall_has_a_limit_of_its_rate(tmp_path):
     assert 0 < limit < 5.3e-5
 
 
+def test_seven_values_that_fall_are_a_decay_though_one_exponential_is_as_far_off_as_a_constant(tmp_path):
+    t, y = [10.0, 30, 60, 120, 300, 600, 1200], [163, 125, 75.2, 31.6, 11.4, 7.99, 2.86]
+    result = fit_table(written(tmp_path, t_s=t, lum=y, lum_sigma=[0.08 * v for v in y]))
+    assert result.fit.n_states == 2
+
+
+def test_a_law_that_only_the_price_for_few_values_prefers_does_not_describe_them_better(tmp_path):
+    t, y = [10, 30, 60, 120, 300, 600, 1200], [195, 121, 76.5, 35.5, 11.4, 7.54, 2.56]
+    result = fit_table(written(tmp_path, t_s=t, lum=y))
+    becquerel = next(law for law in result.other_laws if law.name == "Becquerel")
+    assert becquerel.aicc < result.fit.aicc - 2
+    assert becquerel.chi2 > 4 * result.fit.chi2
+    assert not result.better_laws
+
+
+def test_the_rival_of_a_choice_and_a_vote_against_it_are_told(tmp_path):
+    t, y = [10.0, 30, 60, 120, 300, 600, 1200], [196, 109, 74.5, 27.4, 13.4, 6.44, 2.55]
+    result = fit_table(written(tmp_path, t_s=t, lum=y))
+    said = report(result, "few.csv")
+    candidate, p = result.selection.rival
+    assert candidate.fit.n_parameters > result.selection.chosen.fit.n_parameters
+    assert f"nearest: {p:.2g} (F-test)" in said
+    (against,) = flagged(result, "outvoted")
+    assert "--states 2" in against
+
+
+def test_a_constant_is_told_as_a_share_of_the_last_value(tmp_path):
+    t = np.arange(40) * 5.0
+    y = 100 * np.exp(-0.05 * t) + 3 + np.random.default_rng(2).normal(0, 0.05, t.size)
+    (said,) = flagged(fit_table(written(tmp_path, t_s=t, lum=y, lum_sigma=np.full(40, 0.05))), "offset")
+    assert "in lum 3" in said
+    share = float(said.split("in lum 3, ")[1].split("%")[0])
+    assert share == pytest.approx(100, abs=5)  # three of the last value's σ
+    assert "--offset none" in said
+
+
 def test_errors_of_amplitudes_and_offset_are_those_of_draws():
     draws = (drawn(*USUAL, seed=s, offset=0.01) for s in range(40))
     fits = [fit_decay(d, 2, offset=True, rank_one=False, polish=False) for d in draws]
