@@ -274,7 +274,8 @@ def _mitsuba(variant: str) -> Any:
         raise PhoslabError(
             "is not installed", field="the path tracer mitsuba", remedy="pip install 'phoslab[reference]'"
         ) from error
-    mitsuba.set_variant(variant)
+    if mitsuba.variant() != variant:  # to set it anew loads modules again, for a tenth of a second
+        mitsuba.set_variant(variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     return mitsuba
 

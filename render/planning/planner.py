@@ -45,7 +45,7 @@ BUDGET = 0.9
 TOLERANCES = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6)
 
 # From so many s on, a picture is worth a closer look at how noisy its paths are: that takes a tenth of it.
-CLOSER_S = 10.0
+CLOSER_S = 20.0
 
 
 @dataclass(frozen=True)
