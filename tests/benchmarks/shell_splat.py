@@ -183,7 +183,8 @@ def measure_stages(scene: Any) -> None:
 
 
 def measure_memory(scene: Any) -> None:
-    """The most that is held at once: in dss while a level is drawn, in dss-z while a level's hits are found."""
+    """The most that is held at once: in dss while a level is drawn, in dss-z while a level's hits are found, in tiles
+    whenever a pass looks at the receivers."""
     peak = 0
 
     def watched(step: Callable[..., Any]) -> Callable[..., Any]:
@@ -196,7 +197,8 @@ def measure_memory(scene: Any) -> None:
 
     DeepScreenSpace.splat = watched(DeepScreenSpace.splat)  # type: ignore[method-assign]
     BouncedZBuffer._find_hits = watched(BouncedZBuffer._find_hits)  # type: ignore[method-assign]
-    for method, directions in (("dss", 1), ("dss-z", 4)):
+    GlowPixels.bind_receivers = watched(GlowPixels.bind_receivers)  # type: ignore[method-assign]
+    for method, directions in (("dss", 1), ("dss-z", 4), ("tiles", 4), ("tiles", 8)):
         held = {}
         for name in ("none", method):
             peak = 0
@@ -209,7 +211,8 @@ def measure_memory(scene: Any) -> None:
                 )
                 held[name] = max(peak, held_bytes(device)) - int(atlases)
         megabytes = (held[method] - held["none"]) / 1e6
-        print(f"{method:6} {scene.transport.n} bands {megabytes:6.1f} MB at {SIZE[0]} x {SIZE[1]}")
+        what = f"{method}, {directions} directions"
+        print(f"{what:20} {scene.transport.n} bands {megabytes:6.1f} MB at {SIZE[0]} x {SIZE[1]}")
 
 
 def main(name: str = "cornell") -> None:
