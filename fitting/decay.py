@@ -77,10 +77,15 @@ class DecayFit:
         return strongest
 
     @property
+    def aic(self) -> float:
+        """Akaike's information criterion for known σ."""
+        return self.chi2 + 2 * self.n_parameters
+
+    @property
     def aicc(self) -> float:
-        """Akaike's information criterion for known σ, corrected for small samples."""
+        """The same, corrected for small samples."""
         p, n = self.n_parameters, self.dof + self.n_parameters
-        return self.chi2 + 2 * p + (2 * p * (p + 1) / (n - p - 1) if n > p + 1 else np.inf)
+        return self.aic + (2 * p * (p + 1) / (n - p - 1) if n > p + 1 else np.inf)
 
     @property
     def bic(self) -> float:

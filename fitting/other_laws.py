@@ -42,6 +42,11 @@ class OtherLaw:
     n_parameters: int
     course: Array
 
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion, not corrected for few values."""
+        return self.chi2 + 2 * self.n_parameters
+
 
 def _stretched(theta: Array, t: Array) -> tuple[Array, Array]:
     k, beta = np.exp(theta)

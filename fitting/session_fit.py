@@ -113,6 +113,7 @@ def fit_session(
         emission, emission_error = re_radiation(fit, shape, beta, rates.initial)
     else:
         kr = measured.fit.kr_per_s
+        # Where the sample does not follow the model the decay was held: its rates stay as they are, and their errors.
         kr_error = (
             fit.kr_standard_error
             if measured.fit.discrepancy

@@ -53,7 +53,7 @@ def of_fit(
     if auto and selection.dissent:
         others = [name for name in selection.votes if name != "F-test"]
         code = "outvoted" if selection.dissent == others else "criteria-disagree"
-        other = next(iter(selection.votes[name].n_states for name in selection.dissent))
+        other = selection.votes[selection.dissent[0]].n_states
         flags.append(
             f"{code}: the criteria disagree on the number of states ({votes(selection)}); the F-test decides. To take "
             f"another: --states {other}."
@@ -184,13 +184,10 @@ def of_run(fit: DecayFit, run: Run, estimated: Noise | None) -> str:
 
 def better_laws(fit: DecayFit, laws: Sequence[OtherLaw]) -> list[OtherLaw]:
     """Return the laws that fit better than the exponentials, the best first; none where AICc tells nothing."""
-    aic = fit.chi2 + 2 * fit.n_parameters
     better = [
         law
         for law in laws
-        if np.isfinite(fit.aicc)
-        and law.aicc < fit.aicc - _BETTER
-        and law.chi2 + 2 * law.n_parameters < aic - _BETTER
+        if np.isfinite(fit.aicc) and law.aicc < fit.aicc - _BETTER and law.aic < fit.aic - _BETTER
     ]
     return sorted(better, key=lambda law: law.aicc)
 

@@ -65,7 +65,7 @@ class BouncedZBuffer:
     def __init__(self, device: Device, surroundings: Surroundings, parameters: TransportParameters) -> None:
         self._device, self._around, self._parameters = device, surroundings, parameters
         w, h = surroundings.size
-        aimed = parameters.aimed(parameters.directions)
+        aimed = parameters.aimed(parameters.directions, usual=1 / 2)
         aimless = parameters.directions - aimed
         n, pattern = parameters.directions, max(1, parameters.filter_px)
         check_room(5 * w * h * n * 4, "what a picture's directions hit")

@@ -36,7 +36,7 @@ def patterned_points(side: int, per_place: int, seed: int = 0) -> Array:
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(2, scramble=True, rng=np.random.default_rng(seed))
-    points = sequence.random_base2(int(np.log2(strata(side, per_place))))[: side * side * per_place]
+    points = sequence.random_base2(strata(side, per_place).bit_length() - 1)[: side * side * per_place]
     each: Array = points.reshape(side * side, per_place, 2)[ordered_places(side)]
     return each
 

@@ -90,15 +90,9 @@ class TransportParameters:
                 remedy=f"Use one of: {', '.join(map(str, FILTER_RADII))}.",
             )
 
-    def aimed(self, directions: int) -> int:
-        """How many of so many directions of a pixel aim; one at least goes anywhere.
-
-        Tiles aim at all that glows, and each point of it has its turn: of `corridor` at 8 directions, 7/8 leave half of
-        the error of 1/2. dss-z aims at spheres around it, and what surfaces reflect of each other is everywhere.
-        """
-        share = self.guided
-        if share is None:
-            share = 7 / 8 if self.method == "tiles" and not self.sends_on else 1 / 2
+    def aimed(self, directions: int, usual: float) -> int:
+        """How many of so many directions of a pixel aim, of which the way aims a usual share; one at least does not."""
+        share = usual if self.guided is None else self.guided
         return min(round(directions * share), directions - 1)
 
     @property

@@ -85,16 +85,7 @@ class Tiles:
         return self._device.compute(name, {d: known[d] for d in defines})
 
     def _hit_shader(self, looks: Looks) -> moderngl.ComputeShader:
-        names = (
-            "SUPERSAMPLING",
-            "DIRECTIONS",
-            "AIMLESS",
-            "AIMLESS_STRATA",
-            "AIMED_STRATA",
-            "PATTERN",
-            "BATCH",
-        )
-        return self._program("tile_hits", *names, looks=looks)
+        return self._program("tile_hits", "SUPERSAMPLING", "PATTERN", "BATCH", *looks.defines, looks=looks)
 
     def prepare(self) -> None:
         """Make the cells, and find what every ray meets."""

@@ -77,8 +77,9 @@ void main() {
     vec2 shift = SHIFTS * vec2(pixel / PATTERN);
     float near = first == 0 ? 1e-30 : nearness[at_pixel];
     for (int k = first; k < min(first + BATCH, DIRECTIONS); ++k) {
-        vec2 stratum = points[place * DIRECTIONS + k] * (k < AIMLESS ? AIMLESS_STRATA : AIMED_STRATA);
-        vec2 u = (floor(stratum) + fract(stratum + shift)) / (k < AIMLESS ? AIMLESS_STRATA : AIMED_STRATA);
+        float strata = float(k < AIMLESS ? AIMLESS_STRATA : AIMED_STRATA);
+        vec2 stratum = points[place * DIRECTIONS + k] * strata;
+        vec2 u = (floor(stratum) + fract(stratum + shift)) / strata;
         uint aimed = NONE;
         if (k < AIMLESS || total <= 0.0) {
             vec3 w = on_hemisphere(u);

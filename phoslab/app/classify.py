@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         from phoslab.photometry import luminance
 
         material = Material.load(args.decay)
-        if loose := (material.provenance or {}).get("product_only"):
+        if loose := material.provenance.get("product_only"):
             which = ", ".join(str(i + 1) for i in loose)
             raise PhoslabError(
                 f"tells only the product of light and excitation of state {which}: how bright the sample is when every "

@@ -58,7 +58,7 @@ def write_report(
         rise=None if found is None else svg(_excitation_figure(found)),
         excited=[] if found is None else _excited(found),
         level=None if found is None else f"{np.nanmedian(np.abs(found.fit.level_error)):.1%}",
-        loose=[] if found is None else [i + 1 for i, loose in enumerate(found.fit.product_only) if loose],
+        loose=[i + 1 for i in result.material.provenance["product_only"]],
         calibration=_calibration(result),
         pictures=[(data_uri(p.path), p.caption) for p in pictures],
         notes=notes,

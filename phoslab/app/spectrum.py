@@ -137,7 +137,7 @@ def _plot(result: Spectrum) -> str:
     import numpy as np
     from matplotlib.figure import Figure
 
-    from phoslab.app.figures import svg
+    from phoslab.app.figures import CHANNEL_COLOURS, svg
     from phoslab.fitting.lvf import POSITIONS_NM
 
     figure = Figure(figsize=(8, 8), layout="constrained")
@@ -150,7 +150,7 @@ def _plot(result: Spectrum) -> str:
     upper.set_ylim(0, 1.3)
     upper.set_ylabel("relative spectral radiance\n(band: 2 standard errors)")
     top = np.nanmax(result.measured)
-    for c, (name, colour) in enumerate((("R", "#c0392b"), ("G", "#1e8449"), ("B", "#2455a4"))):
+    for c, (name, colour) in enumerate(CHANNEL_COLOURS.items()):
         lower.plot(POSITIONS_NM, result.measured[:, c] / top, "o", ms=3, color=colour, label=name)
         lower.plot(POSITIONS_NM, result.predicted[:, c] / top, color=colour, lw=1)
         miss = 100 * (result.measured[:, c] - result.predicted[:, c]) / top

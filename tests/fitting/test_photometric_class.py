@@ -122,7 +122,7 @@ def test_a_relative_decay_gives_shares_and_no_class(tmp_path, capsys):
 
 def test_a_material_that_does_not_tell_how_bright_full_states_are_is_refused(tmp_path, capsys):
     m = preset("green")
-    replace(m, provenance={**(m.provenance or {}), "product_only": [0]}).save(tmp_path / "m.json")
+    replace(m, provenance={**m.provenance, "product_only": [0]}).save(tmp_path / "m.json")
     assert cli.main(["classify", str(tmp_path / "m.json")]) == 1
     said = capsys.readouterr().err
     assert "product of light and excitation of state 1" in said
