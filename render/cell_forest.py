@@ -1,174 +1,226 @@
-"""How parts become trees of cells: large ones are halved, small ones gathered into a likeness.
+"""How the parts of meshes become trees of cells: large parts are halved, small ones gathered into likenesses.
 
-A likeness is the parallelogram that covers small triangles which lie together and face one way.
+Trees grow a level at a time, all at once; then they are laid out in the order of a walk.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phoslab.render.cell_halves import Halved, halve_all
+from phoslab.render.cell_likeness import NEVER, Likenesses
 from phoslab.render.cell_meshes import FlatMesh
-from phoslab.render.cell_shapes import halve_parallelograms, halve_triangles, radii_of
+from phoslab.render.clusters import Clusters
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# A cell of small triangles stands for them only if so much of their area faces one way, and fills so much of it.
-COHERENT, FILLED = 0.95, 0.5
-# What no distance makes good enough: such a cell is always replaced by those that it is made of.
-NEVER = 1e30
-# Directions that are tried for the sides of a parallelogram, over a right angle.
-TURNS = 16
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Where the smallest cells of one mesh lie in its atlas, as a soup of triangles.
+
+    Args:
+        uv: (k, 3, 2) atlas coordinates.
+        leaf: (k,) the smallest cell that each is of.
+        density: (k,) area in the world over area in the atlas.
+    """
+
+    uv: Array
+    leaf: Indices
+    density: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Forest:
+    """Cells in the order of the walk, n of them, of which m are the smallest; a tree for each mesh.
+
+    Args:
+        corners: (n, 3, 3) the corner and its two neighbours: of a triangle, or of a parallelogram.
+        normals: (n, 3) to the outside.
+        is_triangle: (n,).
+        errors: (n,) how far all that a cell stands for reaches from its plane; `NEVER` where it is no likeness.
+        is_halved: (n,) whether it is made of two halves, which lie in its plane.
+        skip: (n,) the index after a cell's last descendant.
+        leaves: (n, 2) first and end of the smallest cells below, in their own count.
+        leaf_areas: (m,).
+        owners: (n_meshes + 1,) the first of the smallest cells of each mesh, and their end.
+        patches: by the number of each mesh that glows.
+    """
+
+    corners: Array
+    normals: Array
+    is_triangle: NDArray[np.bool_]
+    errors: Array
+    is_halved: NDArray[np.bool_]
+    skip: Indices
+    leaves: Indices
+    leaf_areas: Array
+    owners: Indices
+    patches: dict[int, Patches]
+
+
+def grow(meshes: Mapping[int, FlatMesh], smallest: float) -> Forest:
+    """Make the cells of meshes, by their numbers; the smallest have so small a radius."""
+    mesh = FlatMesh.joined(list(meshes.values()))
+    counts = np.array([len(m.areas) for m in meshes.values()], dtype=np.intp)
+    levels = _levels(mesh, Clusters(np.arange(counts.sum()), counts[counts > 0]), smallest)
+    halved = list(halve_all(mesh, np.concatenate([level.singles() for level in levels]), smallest))
+    cells, leaves = (np.ones(len(mesh.areas), dtype=np.intp) for _ in range(2))
+    for batch in halved:
+        cells[batch.parts], leaves[batch.parts] = batch.n, batch.n_leaves
+    for level, below in zip(reversed(levels), [None, *reversed(levels[1:])], strict=True):
+        level.count(below, cells, leaves)
+    for level, below in zip(levels, [*levels[1:], None], strict=True):
+        level.place(below)
+    owners = np.zeros(len(counts) + 1, dtype=np.intp)
+    owners[1:][counts > 0] = levels[0].n_leaves
+    return _Layout(mesh, levels).forest(halved, list(meshes), np.cumsum(owners))
 
 
 @dataclass
-class Forest:
-    """Cells as they are made, in the order of the walk; lists of arrays, one entry a cell or a whole triangle's."""
+class _Level:
+    """Cells that are equally far from their roots. Those that are `split` have two each on the next level, in a row.
 
-    smallest: float
-    n: int = 0
-    n_leaves: int = 0
-    parts: dict[str, list[Array]] = field(default_factory=dict)
+    Args:
+        n, n_leaves: (c,) how many cells and smallest cells each is made of, itself included.
+        at, leaf_at: (c,) where the cell stands in the order of the walk, and its first smallest cell in theirs.
+    """
 
-    def put(self, **values: Array) -> None:
-        for name, value in values.items():
-            self.parts.setdefault(name, []).append(value)
+    clusters: Clusters
+    likenesses: Likenesses
+    is_leaf: NDArray[np.bool_]
+    n: Indices = field(init=False)
+    n_leaves: Indices = field(init=False)
+    at: Indices = field(init=False)
+    leaf_at: Indices = field(init=False)
 
+    @property
+    def is_single(self) -> NDArray[np.bool_]:
+        return np.asarray(self.clusters.sizes == 1)
 
-def add_cluster(forest: Forest, mesh: FlatMesh, of: Indices) -> None:
-    """Add the cells of some triangles of a mesh."""
-    if len(of) == 0:
-        return
-    if len(of) == 1:
-        _add_part(forest, mesh, int(of[0]))
-        return
-    corner, normal, radius, error = _fit(mesh, of)
-    is_leaf = radius <= forest.smallest and error < NEVER
-    at, first_leaf = forest.n, forest.n_leaves
-    forest.n += 1
-    skip, leaves = np.array([0.0]), np.array([[first_leaf, 0.0]])
-    forest.put(
-        corners=corner[None],
-        normals=normal[None],
-        is_triangle=np.array([0.0]),
-        errors=np.array([error]),
-        is_halved=np.array([0.0]),
-        skip=skip,
-        leaves=leaves,
-    )
-    if is_leaf:
-        forest.n_leaves += 1
-        forest.put(leaf_areas=np.array([mesh.areas[of].sum()]))
-        if mesh.uv is not None:
-            _put_patches(
-                forest, mesh.uv[of], mesh.is_triangle[of], np.full(len(of), first_leaf), mesh.density[of]
-            )
-    else:
-        one, other = _split(mesh, of, forest.smallest, radius)
-        add_cluster(forest, mesh, one)
-        add_cluster(forest, mesh, other)
-    skip[0], leaves[0, 1] = forest.n, forest.n_leaves
-    assert forest.n > at
+    @property
+    def split(self) -> NDArray[np.bool_]:
+        return ~self.is_leaf & ~self.is_single
+
+    def singles(self) -> Indices:
+        """Return the parts that are alone."""
+        return self.clusters.select(self.is_single).of
+
+    def count(self, below: _Level | None, cells: Indices, leaves: Indices) -> None:
+        """Count the cells, those of the level below and of all parts being counted."""
+        self.n, self.n_leaves = np.ones_like(self.clusters.sizes), np.ones_like(self.clusters.sizes)
+        parts = self.singles()
+        self.n[self.is_single], self.n_leaves[self.is_single] = cells[parts], leaves[parts]
+        if below is not None:
+            self.n[self.split] = 1 + below.n.reshape(-1, 2).sum(axis=1)
+            self.n_leaves[self.split] = below.n_leaves.reshape(-1, 2).sum(axis=1)
+
+    def place(self, below: _Level | None) -> None:
+        """Place the level below; roots stand one after the other."""
+        if not hasattr(self, "at"):
+            self.at, self.leaf_at = np.cumsum(self.n) - self.n, np.cumsum(self.n_leaves) - self.n_leaves
+        if below is not None:
+            first, first_leaf = self.at[self.split] + 1, self.leaf_at[self.split]
+            below.at = np.stack([first, first + below.n[::2]], axis=1).ravel()
+            below.leaf_at = np.stack([first_leaf, first_leaf + below.n_leaves[::2]], axis=1).ravel()
 
 
-def _split(mesh: FlatMesh, of: Indices, smallest: float, radius: float) -> tuple[Indices, Indices]:
-    """Halve a cluster at the median of where its triangles differ most: in place, or, once small, in direction."""
-    features = np.concatenate([mesh.centres(of) / max(radius, smallest), mesh.normals[of] * 0.5], axis=1)
-    axis = int(np.argmax(features.var(axis=0)))
-    order = np.argsort(features[:, axis], kind="stable")
-    half = len(of) // 2
-    return of[order[:half]], of[order[half:]]
+def _levels(mesh: FlatMesh, roots: Clusters, smallest: float) -> list[_Level]:
+    levels, clusters = [], roots
+    while len(clusters.sizes):
+        like = Likenesses.of(mesh, clusters)
+        is_leaf = (like.radii <= smallest) & (like.errors < NEVER) & (clusters.sizes > 1)
+        levels.append(_Level(clusters, like, is_leaf))
+        split = levels[-1].split
+        radii, clusters = np.maximum(like.radii[split], smallest), clusters.select(split)
+        # Halved where parts differ most: in place, or, once the cluster is small, in direction.
+        places = mesh.centres(clusters.of) / radii[clusters.which, None]
+        clusters = clusters.halves(np.concatenate([places, mesh.normals[clusters.of] * 0.5], axis=1))
+    return levels
 
 
-def _fit(mesh: FlatMesh, of: Indices) -> tuple[Array, Array, float, float]:
-    """Return the parallelogram (3, 3) that stands for triangles, its normal, the radius of all, and its error."""
-    areas, points = mesh.areas[of], mesh.points(of)
-    facing = areas @ mesh.normals[of]
-    coherence = float(np.linalg.norm(facing) / areas.sum())
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    radius = float(np.sqrt(np.max(np.sum((points - middle) ** 2, axis=1))))
-    if coherence < COHERENT:
-        return np.repeat(middle[None], 3, axis=0), np.array([0.0, 0.0, 1.0]), radius, NEVER
-    normal = facing / np.linalg.norm(facing)
-    centre = areas @ mesh.centres(of) / areas.sum()
-    side = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
-    side /= np.linalg.norm(side)
-    up = np.cross(normal, side)
-    away = points - centre
-    flat = away @ np.stack([side, up], axis=1)
-    angle = np.pi / 2 * np.arange(TURNS) / TURNS
-    c, s = np.cos(angle), np.sin(angle)
-    turned = np.stack([flat @ np.array([c, s]), flat @ np.array([-s, c])], axis=2)
-    low, high = turned.min(axis=0), turned.max(axis=0)
-    best = int(np.argmin(np.prod(high - low, axis=1)))
-    x, y = c[best] * side + s[best] * up, -s[best] * side + c[best] * up
-    extent, mid = high[best] - low[best], (high[best] + low[best]) / 2
-    box_area = max(float(extent.prod()), 1e-30)
-    # It covers them all. What is nearest in a direction counts once, so where cells overlap nothing is added; but
-    # through a gap one would look into the dark inside.
-    u, v = x * extent[0], y * extent[1]
-    corner = centre + mid[0] * x + mid[1] * y - (u + v) / 2
-    filled = min(1.0, coherence * float(areas.sum()) / box_area)
-    rim = (1.0 - np.sqrt(filled)) * float(extent.max()) / 2
-    error = float(np.abs(away @ normal).max()) + rim if filled >= FILLED else NEVER
-    return np.stack([corner, corner + u, corner + v]), normal, radius, error
+class _Layout:
+    """All cells, as they are put where they stand."""
 
+    def __init__(self, mesh: FlatMesh, levels: Sequence[_Level]) -> None:
+        self._mesh, self._levels = mesh, levels
+        n, n_leaves = int(levels[0].n.sum()), int(levels[0].n_leaves.sum())
+        self._corners, self._normals, self._errors = np.empty((n, 3, 3)), np.empty((n, 3)), np.zeros(n)
+        self._is_triangle, self._is_halved = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        self._skip, self._leaves = np.empty(n, dtype=np.intp), np.empty((n, 2), dtype=np.intp)
+        self._leaf_areas = np.empty(n_leaves)
+        self._patches: list[tuple[Array, Indices, Array]] = []
 
-def _add_part(forest: Forest, mesh: FlatMesh, part: int) -> None:
-    """Add a triangle or parallelogram, halved until its parts are small: a complete binary tree."""
-    is_triangle = mesh.is_triangle[part : part + 1]
-    uv = np.zeros((1, 3, 2)) if mesh.uv is None else mesh.uv[part : part + 1]
-    levels = [(mesh.corners[part : part + 1], uv)]
-    halve = halve_triangles if is_triangle[0] else halve_parallelograms
-    # A sliver stays a sliver: once its area is below that of small cells, more halves gain nothing.
-    most = mesh.areas[part] / forest.smallest**2 * 8
-    while radii_of(levels[-1][0], is_triangle).max() > forest.smallest and len(levels[-1][0]) < most:
-        levels.append(halve(*levels[-1]))
-    depth = len(levels) - 1
-    n, n_leaves = 2 ** (depth + 1) - 1, 2**depth
-    order = np.empty(n, dtype=np.intp)  # where each cell, level by level, stands in the walk
-    skip, leaves = np.empty(n), np.empty((n, 2))
-    at, done = np.zeros(1, dtype=np.intp), 0
-    for k in range(depth + 1):
-        size, below = 2 ** (depth - k + 1) - 1, 2 ** (depth - k)
-        order[done : done + 2**k] = at
-        skip[at] = forest.n + at + size
-        leaves[at, 0] = forest.n_leaves + below * np.arange(2**k)
-        leaves[at, 1] = leaves[at, 0] + below
-        done += 2**k
-        at = np.stack([at + 1, at + 1 + size // 2], axis=1).ravel()
-    every = np.empty((n, 3, 3))
-    every[order] = np.concatenate([c for c, _ in levels])
-    shape = np.repeat(is_triangle, n)
-    forest.put(
-        corners=every,
-        normals=np.repeat(mesh.normals[part : part + 1], n, axis=0),
-        is_triangle=shape.astype(np.float64),
-        errors=np.zeros(n),
-        is_halved=(skip > forest.n + np.arange(n) + 1).astype(np.float64),
-        skip=skip,
-        leaves=leaves,
-        leaf_areas=np.full(n_leaves, mesh.areas[part] / n_leaves),
-    )
-    if mesh.uv is not None:
-        leaf = forest.n_leaves + np.arange(n_leaves)
-        _put_patches(forest, levels[-1][1], shape[:n_leaves], leaf, np.full(n_leaves, mesh.density[part]))
-    forest.n += n
-    forest.n_leaves += n_leaves
+    def forest(self, halved: Sequence[Halved], numbers: Sequence[int], owners: Indices) -> Forest:
+        at, leaf_at = (np.zeros(len(self._mesh.areas), dtype=np.intp) for _ in range(2))
+        for level in self._levels:
+            self._put_likenesses(level)
+            parts, alone = level.singles(), level.is_single
+            at[parts], leaf_at[parts] = level.at[alone], level.leaf_at[alone]
+        for batch in halved:
+            self._put_halved(batch, at[batch.parts], leaf_at[batch.parts])
+        return Forest(
+            self._corners,
+            self._normals,
+            self._is_triangle,
+            self._errors,
+            self._is_halved,
+            self._skip,
+            self._leaves,
+            self._leaf_areas,
+            owners,
+            dict(self._owned_patches(numbers, owners)),
+        )
 
+    def _owned_patches(self, numbers: Sequence[int], owners: Indices) -> Iterator[tuple[int, Patches]]:
+        uv, leaf, density = (np.concatenate(each) for each in zip(*self._patches, strict=True))
+        for number, (first, end) in zip(numbers, pairwise(owners.tolist()), strict=True):
+            of = (first <= leaf) & (leaf < end)
+            if of.any():
+                yield number, Patches(uv[of], leaf[of], density[of])
 
-def _put_patches(
-    forest: Forest, uv: Array, is_triangle: NDArray[np.bool_], leaf: Indices, density: Array
-) -> None:
-    """Note where parts lie in the atlas: a parallelogram is two triangles."""
-    a, b, c = uv.transpose(1, 0, 2)
-    other = ~is_triangle
-    second = np.stack([b, b + c - a, c], axis=1)[other]
-    forest.put(
-        uv=np.concatenate([uv, second]),
-        leaf=np.concatenate([leaf, leaf[other]]).astype(np.float64),
-        density=np.concatenate([density, density[other]]),
-    )
+    def _put_likenesses(self, level: _Level) -> None:
+        of = ~level.is_single
+        at, like = level.at[of], level.likenesses
+        self._corners[at], self._normals[at], self._errors[at] = (
+            like.corners[of],
+            like.normals[of],
+            like.errors[of],
+        )
+        self._skip[at] = at + level.n[of]
+        self._leaves[at] = level.leaf_at[of, None] + np.stack([np.zeros_like(at), level.n_leaves[of]], axis=1)
+        if level.is_leaf.any():
+            leaves, at = level.clusters.select(level.is_leaf), level.leaf_at[level.is_leaf]
+            self._leaf_areas[at] = leaves.total(self._mesh.areas[leaves.of])
+            self._put_patches(leaves.of, self._mesh.uv[leaves.of], at[leaves.which])
+
+    def _put_halved(self, batch: Halved, at: Indices, leaf_at: Indices) -> None:
+        mesh, parts, every = self._mesh, batch.parts, at[:, None] + np.arange(batch.n)
+        self._corners[every], skip, leaves = batch.in_order()
+        self._normals[every], self._is_triangle[every] = (
+            mesh.normals[parts, None],
+            mesh.is_triangle[parts, None],
+        )
+        self._is_halved[every] = skip > np.arange(1, batch.n + 1)
+        self._skip[every], self._leaves[every] = at[:, None] + skip, leaf_at[:, None, None] + leaves
+        leaf = leaf_at[:, None] + np.arange(batch.n_leaves)
+        self._leaf_areas[leaf] = mesh.areas[parts, None] / batch.n_leaves
+        self._put_patches(np.repeat(parts, batch.n_leaves), batch.uv.reshape(-1, 3, 2), leaf.ravel())
+
+    def _put_patches(self, parts: Indices, uv: Array, leaf: Indices) -> None:
+        """Note where parts lie in the atlas: a parallelogram is two triangles."""
+        glows = ~np.isnan(uv[:, 0, 0])
+        parts, uv, leaf = parts[glows], uv[glows], leaf[glows]
+        pairs = ~self._mesh.is_triangle[parts]
+        a, b, c = uv[pairs].transpose(1, 0, 2)
+        second = np.stack([b, b + c - a, c], axis=1)
+        every = np.concatenate([parts, parts[pairs]])
+        self._patches.append(
+            (np.concatenate([uv, second]), np.concatenate([leaf, leaf[pairs]]), self._mesh.density[every])
+        )

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phoslab.render.atlas_glow import AtlasGlow
+from phoslab.render.cell_forest import Patches
 from phoslab.render.cell_light import CellLight
-from phoslab.render.cells import Cells, Patches
+from phoslab.render.cells import Cells
 from phoslab.render.device import LOOP_TURNS, Device, bind_buffers, read_texture, set_uniforms
 from phoslab.render.optics import layer_count
 from phoslab.render.passes import Picture

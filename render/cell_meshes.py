@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ class FlatMesh:
         corners: (m, 3, 3) a corner and its two neighbours.
         is_triangle: (m,); else a parallelogram.
         normals, areas: (m, 3) and (m,).
-        uv: (m, 3, 2) atlas coordinates of the corners; None where it does not glow.
+        uv: (m, 3, 2) atlas coordinates of the corners; not a number where it does not glow.
         density: (m,) area over that in the atlas.
     """
 
@@ -33,7 +34,7 @@ class FlatMesh:
     is_triangle: NDArray[np.bool_]
     normals: Array
     areas: Array
-    uv: Array | None
+    uv: Array
     density: Array
 
     @staticmethod
@@ -47,7 +48,7 @@ class FlatMesh:
         # A transform may flatten what was sound: without area it neither sends nor blocks.
         sound = length > 1e-16
         corners, doubled, length = corners[sound], doubled[sound], length[sound]
-        uv, density = None, np.ones(len(corners))
+        uv, density = np.full((len(corners), 3, 2), np.nan), np.ones(len(corners))
         if drawable.material is not None:
             assert geometry.atlas_uv is not None
             uv = geometry.atlas_uv.astype(np.float64)[triangles[sound]]
@@ -58,11 +59,16 @@ class FlatMesh:
         )
         return _paired(mesh, np.flatnonzero(radii_of(corners, mesh.is_triangle) > smallest))
 
+    @staticmethod
+    def joined(meshes: Sequence[FlatMesh]) -> FlatMesh:
+        """Return the parts of all meshes, one after the other."""
+        return FlatMesh(*(np.concatenate([getattr(m, f.name) for m in meshes]) for f in fields(FlatMesh)))
+
     def points(self, of: Indices) -> Array:
-        """Return (k, 3) all corners of some parts; a triangle's first counts twice."""
+        """Return (4, k, 3) all corners of some parts; a triangle's first is there twice."""
         a, b, c = self.corners[of].transpose(1, 0, 2)
         fourth = np.where(self.is_triangle[of, None], a, b + c - a)
-        return np.concatenate([a, b, c, fourth])
+        return np.stack([a, b, c, fourth])
 
     def centres(self, of: Indices) -> Array:
         """Return (k, 3)."""
@@ -89,10 +95,9 @@ def _paired(mesh: FlatMesh, large: Indices) -> FlatMesh:
     b, c = corners[t, (k + 1) % 3], corners[t, (k + 2) % 3]
     fits = (np.abs(b + c - apex - apex2).max(axis=1) < COPLANAR) & (t != t2)
     fits &= np.sum(mesh.normals[large[t]] * mesh.normals[large[t2]], axis=1) > 1 - 1e-6
-    if mesh.uv is not None:
-        uv = mesh.uv[large]
-        off = uv[t, (k + 1) % 3] + uv[t, (k + 2) % 3] - uv[t, k] - uv[t2, k2]
-        fits &= np.abs(off).max(axis=1) < 1e-5
+    uv = mesh.uv[large]
+    off = uv[t, (k + 1) % 3] + uv[t, (k + 2) % 3] - uv[t, k] - uv[t2, k2]
+    fits &= ~(np.abs(off).max(axis=1) >= 1e-5)  # of what does not glow it is not a number
     # The squarest first: each triangle is in one pair at most.
     skew = np.abs(np.sum((b - apex) * (c - apex), axis=1))
     taken: set[int] = set()
@@ -114,8 +119,6 @@ def _paired(mesh: FlatMesh, large: Indices) -> FlatMesh:
         np.concatenate([np.ones(len(alone), dtype=bool), np.zeros(len(first), dtype=bool)]),
         joined(mesh.normals, mesh.normals[of]),
         joined(mesh.areas, 2 * mesh.areas[of]),
-        None
-        if mesh.uv is None
-        else joined(mesh.uv, np.take_along_axis(mesh.uv[of], turn[..., None], axis=1)),
+        joined(mesh.uv, np.take_along_axis(mesh.uv[of], turn[..., None], axis=1)),
         joined(mesh.density, mesh.density[of]),
     )

@@ -17,12 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.render.cell_forest import Forest, add_cluster
+from phoslab.render.cell_forest import Forest, grow
 from phoslab.render.cell_meshes import COPLANAR, FlatMesh
 from phoslab.render.gpu_scene import GpuDrawable
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 MOST_LEAVES = 1 << 18
 ERRORS = 3.0  # a likeness must be this much better than its size
@@ -30,33 +29,13 @@ FAR = 1e6  # beyond all that is in a scene; its square is a float32
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
-    """A forest of cells; n of them, m of which are the smallest.
+class Cells(Forest):
+    """The cells of a scene.
 
     Args:
-        corners: (n, 3, 3) the corner and its two neighbours: of a triangle, or of a parallelogram.
-        normals: (n, 3) to the outside.
-        is_triangle: (n,).
-        errors: (n,) how far all that a cell stands for reaches from its plane; `NEVER` where it is no likeness.
-        is_halved: (n,) whether it is made of two halves, which lie in its plane.
-        skip: (n,) the index after a cell's last descendant.
-        leaves: (n, 2) first and end of the smallest cells below, in their own count.
-        leaf_areas: (m,).
-        patches: by the number of each drawable that glows, where its leaves lie in its atlas.
-        owners: (n_drawables + 1,) the first of the smallest cells of each drawable, and their end.
         centre, radius: of the scene, in m: coordinates are (world - centre) / radius.
     """
 
-    corners: Array
-    normals: Array
-    is_triangle: NDArray[np.bool_]
-    errors: Array
-    is_halved: NDArray[np.bool_]
-    skip: Indices
-    leaves: Indices
-    leaf_areas: Array
-    patches: dict[int, Patches]
-    owners: Indices
     centre: Array
     radius: float
 
@@ -147,21 +126,6 @@ class Cells:
         return np.maximum(means, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Patches:
-    """Where the smallest cells of one drawable lie in its atlas, as a soup of triangles.
-
-    Args:
-        uv: (k, 3, 2) atlas coordinates.
-        leaf: (k,) the smallest cell that each is of.
-        density: (k,) area in the world over area in the atlas.
-    """
-
-    uv: Array
-    leaf: Indices
-    density: Array
-
-
 def build_cells(drawables: Sequence[GpuDrawable], cell: float) -> Cells:
     """Make the cells of everything that can send or block light.
 
@@ -171,30 +135,8 @@ def build_cells(drawables: Sequence[GpuDrawable], cell: float) -> Cells:
     corners = np.concatenate([d.box_w for d in drawables])
     low, high = corners.min(axis=0), corners.max(axis=0)
     centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-30)
-    meshes = [FlatMesh.of(drawable, centre, radius, cell) for drawable in drawables]
-    area = sum(float(mesh.areas.sum()) for mesh in meshes)
+    meshes = {d.number: FlatMesh.of(d, centre, radius, cell) for d in drawables}
+    area = sum(float(mesh.areas.sum()) for mesh in meshes.values())
     # Halved until their radius is below r, squares cover from r² to 2 r².
-    forest = Forest(max(cell, float(np.sqrt(area / MOST_LEAVES))))
-    patches, owners = {}, [0]
-    for drawable, mesh in zip(drawables, meshes, strict=True):
-        begin = len(forest.parts.get("uv", []))
-        add_cluster(forest, mesh, np.arange(len(mesh.areas)))
-        owners.append(forest.n_leaves)
-        if mesh.uv is not None and len(mesh.areas):
-            each = {name: np.concatenate(forest.parts[name][begin:]) for name in ("uv", "leaf", "density")}
-            patches[drawable.number] = Patches(each["uv"], each["leaf"].astype(np.intp), each["density"])
-    whole = {name: np.concatenate(parts) for name, parts in forest.parts.items() if parts}
-    return Cells(
-        corners=whole["corners"],
-        normals=whole["normals"],
-        is_triangle=whole["is_triangle"].astype(bool),
-        errors=whole["errors"],
-        is_halved=whole["is_halved"].astype(bool),
-        skip=whole["skip"].astype(np.intp),
-        leaves=whole["leaves"].astype(np.intp),
-        leaf_areas=whole["leaf_areas"],
-        patches=patches,
-        owners=np.array(owners, dtype=np.intp),
-        centre=centre,
-        radius=radius,
-    )
+    forest = grow(meshes, max(cell, float(np.sqrt(area / MOST_LEAVES))))
+    return Cells(**vars(forest), centre=centre, radius=radius)

@@ -44,18 +44,16 @@ def run(device: Device, folder: Path, results: Results, limit_s: float, trade: P
     for name in NAMES:
         scene = load_scene(SCENES / name)
         moment = "off+1s" if scene.schedule.off_s is not None else scene.times[0]
-        for bound in ("everything", *BOUNDS):
-            key = f"{name} {bound}"
-            if results.done("samples", key):
-                continue
+        left = [b for b in ("everything", *BOUNDS) if not results.done("samples", f"{name} {b}")]
+        for bound in left:
             finest = bound if bound in BOUNDS else BOUNDS[-1]
             file = folder / f"{name}-{SIDE}.npz"
             case = Case(device, scene, moment, parse_bound(finest), (SIDE, SIDE), file, trade)
-            if not case.truth.levels[0].samples:
+            if bound == left[0]:
                 case.learn(limit_s)
             about = {"scene": name, "plan": bound, "truth_noise": case.noise}
             result = {**about, **_result(case, bound)}
-            results.add("samples", key, result)
+            results.add("samples", f"{name} {bound}", result)
             print("samples: " + _line(result), flush=True)
 
 

@@ -8,11 +8,11 @@ truth is Mitsuba with many, twice: the product of the differences from both hold
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,8 @@ from phoslab.render.path_tracer import trace
 from phoslab.render.reference import Reference
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.render.tiles import Tiles
-from phoslab.sample_data.make_scenes import SCENES
+from phoslab.sample_data import scene_confetti
+from phoslab.sample_data.make_scenes import WRITERS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +39,19 @@ Floats = NDArray[np.float32]
 Progress = Callable[[int, int], None]
 
 # By scene, the moment that is looked at: shortly after the light went off, where there was one.
-MOMENTS = {"cornell": "off+1s", "occluder": "0", "corridor": "off+1s", "confetti": "0"}
+MOMENTS = {
+    "cornell": "off+1s",
+    "occluder": "0",
+    "corridor": "off+1s",
+    "confetti": "0",
+    "confetti-charged": "off+1s",
+}
+
+# The last: emission that varies over ten thousand triangles.
+_WRITERS: dict[str, Callable[[Path], None]] = {
+    **WRITERS,
+    "confetti-charged": partial(scene_confetti.write, charged=True),
+}
 
 # What a way offers; one that is not named here is drawn at its defaults.
 SETTINGS: dict[str, Sequence[dict[str, Any]]] = {
@@ -147,9 +160,10 @@ PROSE = (
 
 
 def in_three_bands(name: str, folder: Path) -> Path:
-    """Copy a sample scene, to be rendered in three bands."""
+    """Write a sample scene, to be rendered in three bands."""
     copy = folder / name
-    shutil.copytree(SCENES / name, copy, dirs_exist_ok=True)
+    copy.mkdir(parents=True, exist_ok=True)
+    _WRITERS[name](copy)
     toml = copy / "scene.toml"
     text = toml.read_text(encoding="utf-8")
     toml.write_text(
