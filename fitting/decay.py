@@ -114,13 +114,14 @@ class DecayFit:
         return misfit(self.chi2, self.dof) > 1
 
     def farthest_off(self) -> tuple[float, float]:
-        """Return when the fit is farthest off by clearly more than noise, in s, and by which share of the signal."""
+        """Return the exposure's middle, in s, at which the fit is farthest off by clearly more than noise, and by which
+        share of the signal."""
         data = self.data
         off = np.abs(self.predict(data.t_s, data.exposure_s) - data.signal)
         clear = (off > 3 * data.total_sigma) & (data.signal != 0)
         share = np.divide(off, np.abs(data.signal), out=np.zeros_like(off), where=clear)
         frame = int(np.argmax(share.max(axis=1)))
-        return float(data.t_s[frame]), float(share[frame].max())
+        return float((data.t_s + data.exposure_s / 2)[frame]), float(share[frame].max())
 
     @property
     def free_standard_error(self) -> Array:

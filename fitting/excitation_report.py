@@ -122,7 +122,11 @@ def lines(fit: ExcitationFit) -> list[str]:
     told = [
         f"[[excitation: {fit.n_states} state{'s' if fit.n_states > 1 else ''}, {shape}]]",
         f"  χ² / dof                {fit.chi2:.4g} / {fit.dof} = {fit.chi2 / max(fit.dof, 1):.3g}"
-        + (", the model's own misfit counted as noise" if fit.discrepancy else ""),
+        + (
+            " (where the sample does not follow the model, that counts as noise already)"
+            if fit.discrepancy
+            else ""
+        ),
     ]
     if np.isfinite(fit.level_error).any():
         off = np.abs(fit.level_error)
@@ -146,7 +150,9 @@ def lines(fit: ExcitationFit) -> list[str]:
         if not fit.common_shape:
             told += [_rate(fit, i, j) for j in range(fit.bands.n)]
     if fit.common_shape:
-        told.append("[[ke of every state in m²/J: its a under the lamp, times]]")
+        told.append(
+            "[[ke of every state by band: a share of its a under the lamp, in s m²/J; a times it is ke in m²/J]]"
+        )
         told += [_shape(fit, j) for j in range(fit.bands.n)]
     return told
 

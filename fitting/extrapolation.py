@@ -1,4 +1,4 @@
-"""What the data allow beyond their last value: a band that no number of states is assumed for.
+"""What the data allow outside of the times measured: a band that no number of states is assumed for.
 
 Every decay that only falls, and falls ever more slowly, is a sum of exponentials with non-negative amplitudes
 (Bernstein). The band at a time is the least and the largest value that any such sum takes there while it fits the
@@ -11,7 +11,7 @@ offset says that there is no light but the sample's.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from phoslab.fitting.decay import DecayFit, misfit
+from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.decay_problem import exposed_decay
+from phoslab.fitting.written import for_json
 
 Array = NDArray[np.float64]
 
@@ -34,25 +36,29 @@ class Beyond:
 
     Args:
         t_s: when.
-        value: (n_channels,) the fit continued, offset left out; NaN where it misses the data, or lies beyond them and
-            below the offset, which may be glow as well.
+        value: (n_channels,) the fit continued, offset left out; NaN where it is not to be told.
         low, high: (n_channels,) the band of 95 %.
-        inside: whether the time lies within the data.
+        outside: "", or where the time lies: "before the data", "beyond the data".
         constant: whether a fitted constant counts as no glow for `low`, and as glow for `high`.
+        untold: "", or why a value is left out.
     """
 
     t_s: float
     value: Array
     low: Array
     high: Array
-    inside: bool
+    outside: str
     constant: bool
+    untold: str = ""
+
+    def without_value(self, why: str) -> Beyond:
+        """Return it with the band alone."""
+        return replace(self, value=np.full_like(self.value, np.nan), untold=why)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as JSON takes it."""
         band = np.stack([self.low, self.high], axis=1)
-        value = [v if np.isfinite(v) else None for v in self.value.tolist()]
-        return {"t_s": self.t_s, "value": value, "band95": band.tolist()}
+        return {"t_s": self.t_s, "value": for_json(self.value), "band95": band.tolist()}
 
 
 def lines(beyonds: Sequence[Beyond], channels: Sequence[str]) -> list[str]:
@@ -70,24 +76,23 @@ def lines(beyonds: Sequence[Beyond], channels: Sequence[str]) -> list[str]:
             f"{c} {f'{v:.4g}' if np.isfinite(v) else 'not told by the fit'} ({lo:.3g} .. {hi:.3g})"
             for c, v, lo, hi in zip(channels, b.value, b.low, b.high, strict=True)
         )
-        text.append(f"  {b.t_s:g} s: {cells}{'' if b.inside else '   beyond the data'}")
+        text.append(f"  {b.t_s:g} s: {cells}{'   ' * bool(b.outside)}{b.outside}")
     return text
 
 
-def warnings(beyonds: Sequence[Beyond], end_s: float) -> list[str]:
-    """Return sentences on those beyond the data, which end at `end_s`, without a value, and with a constant."""
+def warnings(beyonds: Sequence[Beyond], data: DecayData) -> list[str]:
+    """Return sentences on those outside of the data, without a value, and with a constant."""
     said = []
-    if far := [b.t_s for b in beyonds if not b.inside]:
-        lie = "lies" if len(far) == 1 else "lie"
-        said.append(
-            f"extrapolated: {_times(far)} {lie} beyond the data, which end at {end_s:.4g} s; only the "
-            "band is supported."
-        )
-    if untold := [b.t_s for b in beyonds if not np.isfinite(b.value).all()]:
-        said.append(
-            f"not-told: at {_times(untold)} the fit misses the data, leaves the band that they allow, or says less "
-            "than its own constant, which may be glow as well: its value is left out."
-        )
+    span = f"reach from {float(data.t_s.min()):.4g} s to {data.end_s:.4g} s"
+    for where in ("before the data", "beyond the data"):
+        if far := [b.t_s for b in beyonds if b.outside == where]:
+            lie = "lies" if len(far) == 1 else "lie"
+            said.append(
+                f"extrapolated: {_times(far)} {lie} {where}, which {span}; only the band is supported."
+            )
+    for why in dict.fromkeys(b.untold for b in beyonds if b.untold):
+        times = _times([b.t_s for b in beyonds if b.untold == why])
+        said.append(f"not-told: at {times} the fit's own value is left out, since {why}.")
     if any(b.constant for b in beyonds):
         said.append(
             "constant-or-glow: a constant was fitted, and nothing in these data tells light of the room from glow "
@@ -128,9 +133,12 @@ def beyond(fit: DecayFit, t_s: float) -> Beyond:
     # A fit that misses the data says what no course through them does.
     held = (value >= ends[0] * (1 - _EDGE)) & (value <= ends[1] * (1 + _EDGE))
     constant = bool(fit.has_offset and (fit.offset > 0).any())
-    inside = t_s <= data.end_s
-    told = held & (inside | (value >= fit.offset))
-    return Beyond(t_s, np.where(told, value, np.nan), ends[0], ends[1], inside, constant)
+    outside = "before the data" if t_s < data.t_s.min() else "beyond the data" if t_s > data.end_s else ""
+    clear = (not outside) | (value >= fit.offset)
+    why = "it leaves the band that the data allow"
+    if held.all():
+        why = "" if clear.all() else "it is less than its own constant, which may be glow as well"
+    return Beyond(t_s, np.where(held & clear, value, np.nan), ends[0], ends[1], outside, constant, untold=why)
 
 
 def _extremes(phi: Array, y: Array, at: Array, fit: DecayFit) -> tuple[float, float]:

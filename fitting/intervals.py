@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 # In units of the root of chi² above the minimum: an end found to 1e-3 σ moves the coverage by 1e-4.
 _NEAR_ENOUGH = 1e-3
+# A state that has faded by e to this power when the first value is taken is no light that anyone has seen.
+_GONE = 30.0
 
 
 def rate_intervals(fit: DecayFit, *, sigma_known: bool = True, level: float = 0.95) -> Array:
@@ -56,7 +58,10 @@ class _Profile:
         steps = np.diff(np.sort(data.t_s))
         shortest = float(steps[steps > 0].min()) if (steps > 0).any() else data.end_s
         self.slowest = float(np.log(decay._SLOWEST / data.end_s))
-        self.fastest = float(np.log(decay._FASTEST / shortest))
+        # What fades by as much before the first value as before any other is not told from what is faster still.
+        self.fastest = float(
+            np.log(min(decay._FASTEST / shortest, _GONE / max(float(data.t_s.min()), 1e-300)))
+        )
         self.warm = fit.theta
 
     def rise(self, value: float) -> float:

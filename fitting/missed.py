@@ -14,8 +14,9 @@ Array = NDArray[np.float64]
 # A value that the model gives to more than half of itself is not described by it.
 _SHARE = 0.5
 _SIGMAS = 3.0
-# Without given σ a value counts if it and its neighbours lie on a course that is smooth to this.
-_SMOOTH = 0.3
+# Without given σ a value counts only if it and its neighbours lie on a course that is smooth to this; whatever σ was
+# found for it, if they do to this: noise of that size would show.
+_SMOOTH, _VERY_SMOOTH = 0.3, 0.1
 _NEIGHBOURS = 2
 
 
@@ -50,9 +51,20 @@ class Miss:
     share: float
 
 
-def worst_miss(
-    fit: DecayFit, course: Array, valid_s: tuple[float, float], *, sigma_given: bool
-) -> Miss | None:
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """What tells which values are well measured.
+
+    Args:
+        sigma: (n, n_channels) of the values, not scaled to what the fit misses; 0 where nothing tells it.
+        given: whether the table gives σ; else a value must lie on a smooth course with its neighbours, too.
+    """
+
+    sigma: Array
+    given: bool
+
+
+def worst_miss(fit: DecayFit, course: Array, valid_s: tuple[float, float], noise: Noise) -> Miss | None:
     """Return the well-measured value within `valid_s` that is missed by the largest share of it, if there is any.
 
     Args:
@@ -61,27 +73,29 @@ def worst_miss(
     data = fit.data
     worst = None
     for c, channel in enumerate(data.channels):
-        for k in np.flatnonzero(data.used[:, c])[_well_measured(fit, c, sigma_given=sigma_given)]:
+        for k in np.flatnonzero(data.used[:, c])[_well_measured(fit, c, noise)]:
             share = abs(float(course[k, c] / data.signal[k, c] - 1))
             if valid_s[0] <= data.t_s[k] <= valid_s[1] and (worst is None or share > worst.share):
                 worst = Miss(channel, float(data.t_s[k]), share)
     return worst
 
 
-def _well_measured(fit: DecayFit, channel: int, *, sigma_given: bool) -> NDArray[np.bool_]:
-    """Return which used values of a channel stand out of the noise: by their σ, or by the course that they lie on."""
+def _well_measured(fit: DecayFit, channel: int, noise: Noise) -> NDArray[np.bool_]:
+    """Return which used values of a channel stand out of the noise."""
     data = fit.data
     frames = np.flatnonzero(data.used[:, channel])
     values = data.signal[frames, channel]
-    if sigma_given:
-        return np.asarray(values > _SIGMAS * data.sigma[frames, channel])
-    return _smooth(data.t_s[frames], values)
+    clear = np.asarray(values > _SIGMAS * noise.sigma[frames, channel])
+    if noise.given:
+        return clear
+    scatter = _scatter(data.t_s[frames], values)
+    return np.asarray((clear & (scatter < _SMOOTH)) | (scatter < _VERY_SMOOTH))
 
 
-def missed(fit: DecayFit, *, sigma_given: bool) -> list[Run]:
+def missed(fit: DecayFit, noise: Noise) -> list[Run]:
     """Return the runs of values that the fit misses by more than half of themselves though they are well measured.
 
-    A single value inside may be an outlier; two in a row, or the last, are the model's fault.
+    A single value inside may be an outlier; two in a row, the first or the last are the model's fault.
     """
     data = fit.data
     model = fit.predict(data.t_s, data.exposure_s)
@@ -89,14 +103,13 @@ def missed(fit: DecayFit, *, sigma_given: bool) -> list[Run]:
     for c in range(len(data.channels)):
         frames = np.flatnonzero(data.used[:, c])
         values, told = data.signal[frames, c], model[frames, c]
-        known = _well_measured(fit, c, sigma_given=sigma_given)
         off = np.abs(values - told)
-        bad = known & (off > _SHARE * np.abs(values))
-        if sigma_given:
-            bad &= off > _SIGMAS * data.sigma[frames, c]
+        bad = _well_measured(fit, c, noise) & (off > _SHARE * np.abs(values))
+        if noise.given:
+            bad &= off > _SIGMAS * noise.sigma[frames, c]
         edges = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(int), [0]])))
         for first, end in edges.reshape(-1, 2):
-            if end - first > 1 or end == frames.size:
+            if end - first > 1 or first == 0 or end == frames.size:
                 factor = off[first:end] / np.maximum(
                     np.minimum(np.abs(told), np.abs(values))[first:end], 1e-300
                 )
@@ -117,12 +130,12 @@ def valid_times(fit: DecayFit, runs: list[Run]) -> tuple[float, float]:
     return float(data.t_s[stretch].min()), float((data.t_s + data.exposure_s)[stretch].max())
 
 
-def _smooth(t_s: Array, values: Array) -> NDArray[np.bool_]:
-    """Return whether values lie near power laws between their neighbours, which those of noise do not."""
+def _scatter(t_s: Array, values: Array) -> Array:
+    """Return how far values lie off power laws between their neighbours, as a share; infinite where one is below 0."""
     n = values.size
     positive = values > 0
     if n < 3:
-        return positive
+        return np.where(positive, 0.0, np.inf)
     x, y = np.log(t_s - t_s[0] + _first_step(t_s)), np.log(np.where(positive, values, 1.0))
     width = np.maximum(x[2:] - x[:-2], 1e-12)
     right = (x[1:-1] - x[:-2]) / width
@@ -130,10 +143,11 @@ def _smooth(t_s: Array, values: Array) -> NDArray[np.bool_]:
     # Of three values with equal scatter each: what the middle one is off has that of all.
     scatter = np.abs(off) / np.sqrt(1 + right**2 + (1 - right) ** 2)
     scatter = np.concatenate([scatter[:1], scatter, scatter[-1:]])
-    found = np.zeros(n, bool)
+    found = np.full(n, np.inf)
     for k in range(n):
         near = slice(max(0, k - _NEIGHBOURS), k + _NEIGHBOURS + 1)
-        found[k] = positive[near].all() and np.sqrt(np.mean(scatter[near] ** 2)) < _SMOOTH
+        if positive[near].all():
+            found[k] = np.sqrt(np.mean(scatter[near] ** 2))
     return found
 
 

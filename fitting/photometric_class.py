@@ -8,7 +8,7 @@ temperature.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,8 +72,10 @@ DIN = Standard("DIN 67510 style", *_XENON, (10, 60), {}, "if the lamp was a xeno
 DIN_THRESHOLD_MCD = 0.3
 
 DIN_LEGEND = (
-    f"mcd/m² after 10 min / after 60 min - minutes until {DIN_THRESHOLD_MCD} mcd/m²; ?: beyond the data"
+    f"mcd/m² after 10 min / after 60 min - minutes until {DIN_THRESHOLD_MCD} mcd/m²; ?: outside the data"
 )
+
+_NONE = "below the lowest class"
 
 # A value exactly at a limit reaches it, whatever float64 makes of exp(log(x)).
 _AT = 1 - 1e-9
@@ -106,11 +108,48 @@ class Excitation:
     duration_s: float | None = None
 
 
-def measured(data: DecayData, channel: int, scale: float) -> tuple[Callable[[Array], Array], float]:
-    """Return luminance as a function of time, read off measured values, and the last time that they reach.
+@dataclass(frozen=True, eq=False)
+class Glow:
+    """Luminance over time, between the first and the last time that data support.
+
+    Args:
+        luminance_mcd: in mcd/m² at (n,) times in s after the light went off.
+        first_s, last_s: where it is known.
+        share: its standard error as a share of it, at (n,) times; None where nobody says.
+    """
+
+    luminance_mcd: Callable[[Array], Array]
+    first_s: float
+    last_s: float
+    share: Callable[[Array], Array] | None = None
+
+    def at(self, minutes: Sequence[float]) -> dict[float, float]:
+        """Return the luminance in mcd/m² by minute, of those that it reaches."""
+        known = [m for m in minutes if self.first_s * _AT <= 60 * m <= self.last_s / _AT]
+        return dict(zip(known, self.luminance_mcd(60 * np.array(known)).tolist(), strict=True))
+
+    def shifted(self, errors: float) -> Glow:
+        """Return it with so many standard errors added to every value."""
+        if self.share is None:
+            return self
+        share = self.share
+        return replace(self, luminance_mcd=lambda at: self.luminance_mcd(at) * (1 + errors * share(at)))
+
+    @property
+    def span(self) -> str:
+        """From when to when, in words."""
+        return f"from {self.first_s / 60:.3g} to {self.last_s / 60:.3g} min"
+
+
+def measured(data: DecayData, channel: int, scale: float, *, sigma_given: bool) -> Glow:
+    """Return what is read off measured values.
 
     Between values log L is a straight line over log t: a power law, which long decays are piecewise. No sum of
     exponentials is fitted: over an hour and five decades it would miss just the values that decide.
+
+    Args:
+        scale: mcd/m² for 1 of the table.
+        sigma_given: whether its σ are known.
 
     Raises:
         PhoslabError: fewer than two positive values.
@@ -126,10 +165,13 @@ def measured(data: DecayData, channel: int, scale: float) -> tuple[Callable[[Arr
     # The first value may be at t = 0, whose logarithm is none: count from the first interval on.
     origin = float(t[t > 0].min()) if (t > 0).any() else 1.0
 
-    def luminance(at: Array) -> Array:
-        return np.asarray(np.exp(np.interp(np.log(at + origin), np.log(t + origin), np.log(values))))
+    def read(at: Array, of: Array) -> Array:
+        return np.asarray(np.interp(np.log(at + origin), np.log(t + origin), of))
 
-    return luminance, float(t[-1])
+    share = scale * data.sigma[used, channel] / values if sigma_given else np.zeros_like(values)
+    return Glow(
+        lambda at: np.exp(read(at, np.log(values))), float(t[0]), float(t[-1]), lambda at: read(at, share)
+    )
 
 
 def _read(data: DecayData, channel: int) -> NDArray[np.bool_]:
@@ -151,48 +193,52 @@ def in_the_noise(data: DecayData, channel: int) -> tuple[str, ...]:
     )
 
 
-def classify(
-    luminance_mcd: Callable[[Array], Array], reaches_s: float, excitation: Excitation
-) -> list[Verdict]:
+def classify(glow: Glow, excitation: Excitation) -> list[Verdict]:
     """Return what each standard would say of a decay.
 
     Args:
-        luminance_mcd: luminance in mcd/m² at (n,) times in s after the light went off.
-        reaches_s: the last time that data support.
+        glow: the decay.
         excitation: how the sample was charged.
     """
-    return [*(_judge(s, luminance_mcd, reaches_s, excitation) for s in STANDARDS)]
+    return [_judge(s, glow, excitation) for s in STANDARDS]
 
 
-def _judge(
-    standard: Standard, luminance_mcd: Callable[[Array], Array], reaches_s: float, excitation: Excitation
-) -> Verdict:
-    reached = [m for m in standard.minutes if m * 60 <= reaches_s * (1 + 1e-9)]
-    values = luminance_mcd(np.array(reached) * 60.0) if reached else np.zeros(0)
-    seen = dict(zip(reached, values.tolist(), strict=True))
+def _judge(standard: Standard, glow: Glow, excitation: Excitation) -> Verdict:
+    seen = glow.at(standard.minutes)
     why = differs(standard, excitation)
     if why:
         return Verdict(standard.name, "not comparable", why, seen)
-    # A class is lost at the first time that falls short, however little of the decay is known.
-    possible = {
-        name: all(
-            seen[m] >= least * _AT for m, least in zip(standard.minutes, limits, strict=True) if m in seen
-        )
-        for name, limits in standard.classes.items()
-    }
-    kept = [name for name, fits in possible.items() if fits]
+    kept = _kept(standard, seen)
     higher = list(standard.classes)[len(kept) :]
     short = _short_of(standard, higher[0], seen) if higher else ""
+    least, most = (_highest(_kept(standard, glow.shifted(e).at(standard.minutes))) for e in (-2, 2))
+    if least != most:
+        short += (
+            f"{'; ' * bool(short)}within two standard errors of the readings it is from {least} to {most}"
+        )
     if not kept:
-        return Verdict(standard.name, "below the lowest class", short, seen, standard.unchecked)
-    if len(reached) < len(standard.minutes):
+        return Verdict(standard.name, _NONE, short, seen, standard.unchecked)
+    if len(seen) < len(standard.minutes):
         missing = [m for m in standard.minutes if m not in seen]
-        reason = f"the data end at {reaches_s / 60:.3g} min; {_and(missing)} min are needed"
+        reason = f"the data reach {glow.span}; {_and(missing)} min are needed"
         if seen:
             reason += f" (so far it could be {kept[-1]}{'; ' * bool(short)}{short})"
         return Verdict(standard.name, "insufficient data", reason, seen, standard.unchecked)
     limits = f"its limits are {_and(standard.classes[kept[-1]])} mcd/m2 at {_and(standard.minutes)} min"
     return Verdict(standard.name, kept[-1], f"{limits}{'; ' * bool(short)}{short}", seen, standard.unchecked)
+
+
+def _kept(standard: Standard, seen: Mapping[float, float]) -> list[str]:
+    """Return the classes that no value excludes: one is lost at the first time that falls short, whatever follows."""
+    return [
+        name
+        for name, limits in standard.classes.items()
+        if all(seen[m] >= least * _AT for m, least in zip(standard.minutes, limits, strict=True) if m in seen)
+    ]
+
+
+def _highest(kept: Sequence[str]) -> str:
+    return kept[-1] if kept else _NONE
 
 
 def _short_of(standard: Standard, name: str, seen: Mapping[float, float]) -> str:
@@ -218,19 +264,19 @@ def differs(standard: Standard, excitation: Excitation) -> str | None:
     return f"the standard charges with {standard.excitation}, this sample had {said}" if wrong else None
 
 
-def din_label(luminance_mcd: Callable[[Array], Array], reaches_s: float) -> str | None:
+def din_label(glow: Glow) -> str | None:
     """Return a label in the style of DIN 67510: L at 10 min / L at 60 min - minutes until 0.3 mcd/m².
 
-    A part that the data do not reach is "?"; None where they do not even reach 10 min.
+    A part that the data do not reach is "?"; None where they reach neither 10 nor 60 min.
     """
-    if reaches_s < 600:
+    seen = glow.at(DIN.minutes)
+    if not seen:
         return None
-    first = f"{float(luminance_mcd(np.array([600.0]))[0]):.3g}"
-    second = f"{float(luminance_mcd(np.array([3600.0]))[0]):.3g}" if reaches_s >= 3600 else "?"
-    t = np.geomspace(60.0, reaches_s, 4000)
-    below = np.flatnonzero(luminance_mcd(t) < DIN_THRESHOLD_MCD)
-    end = f"{t[below[0]] / 60:.0f}" if below.size else "?"
-    return f"{first}/{second}-{end}"
+    parts = "/".join(f"{seen[m]:.3g}" if m in seen else "?" for m in DIN.minutes)
+    t = np.geomspace(max(60.0, glow.first_s), glow.last_s, 4000)
+    below = np.flatnonzero(glow.luminance_mcd(t) < DIN_THRESHOLD_MCD)
+    end = f"{t[below[0]] / 60:.0f}" if below.size and t[below[0]] > glow.first_s else "?"
+    return f"{parts}-{end}"
 
 
 def _and(values: Sequence[float]) -> str:

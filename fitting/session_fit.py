@@ -160,7 +160,10 @@ def fit_session(
             "settings": {"states": states, "preset": preset, "camera": camera_name},
             "radiance_unit": f"DN per second at ISO 100 and f/1 of {camera_name}",
             "assumed": assumed,
-            "product_only": [] if measured is None else np.flatnonzero(measured.fit.product_only).tolist(),
+            # Without excitation measured nothing tells how full the states were.
+            "product_only": list(range(fit.n_states))
+            if measured is None
+            else np.flatnonzero(measured.fit.product_only).tolist(),
             "simulated": any(s.header.simulated is not None for s in job.used),
         },
     )

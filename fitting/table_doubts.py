@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtr
 
 from phoslab.fitting.decay import DecayFit, fit_decay
 from phoslab.fitting.missed import Miss, Run
 from phoslab.fitting.other_laws import OtherLaw
 from phoslab.fitting.selection import Selection, chance, select
-from phoslab.fitting.table_noise import Noise
+from phoslab.fitting.table_noise import WORDS, Noise
 
 Array = NDArray[np.float64]
 
@@ -20,9 +21,18 @@ _FEW_DOF = 10
 # A state less that so often looks as bad by chance is no worse.
 _AS_GOOD = 0.05
 # A law is said to fit better if AICc, and AIC without its correction for few values, are less by this.
-_BETTER = 2.0
+_BETTER = 6.0  # e^3 times as likely
+# σ are called too large if chance would leave so little of them once in so many times.
+_TOO_GOOD = 1e-3
 # What is as usual, and good to know; everything else spoils something.
-_USUAL = ("sigma-estimated", "criteria-disagree", "unsorted", "repeated-times", "extrapolated")
+_USUAL = (
+    "sigma-estimated",
+    "criteria-disagree",
+    "unsorted",
+    "repeated-times",
+    "extrapolated",
+    "other-law-as-good",
+)
 
 
 def usual(flag: str) -> bool:
@@ -37,13 +47,30 @@ def of_noise(found: Noise) -> str:
         if found.own
         else "χ² / dof is 1 by construction and does not tell whether the fit is good."
     )
-    return f"sigma-estimated: the table gives no σ; they were {found.said}. {worth}"
+    others = ""
+    if found.rivals and not found.own:
+        named = " or ".join(WORDS[law] for law in found.rivals)
+        others = f" Noise {named} is about as likely: the intervals of the rates hold what comes of it, too."
+    return f"sigma-estimated: the table gives no σ; they were {found.said}. {worth}{others}"
 
 
 def of_fit(
-    fit: DecayFit, selection: Selection, worst: Miss | None, *, auto: bool, sigma_known: bool
+    fit: DecayFit,
+    selection: Selection,
+    worst: Miss | None,
+    *,
+    auto: bool,
+    sigma_known: bool,
+    sigma_given: bool,
 ) -> list[str]:
-    """Say what about the choice and the fit as a whole should not be believed."""
+    """Say what about the choice and the fit as a whole should not be believed.
+
+    Args:
+        worst: what it misses most.
+        auto: whether the number of states was chosen.
+        sigma_known: whether σ do not come from what this fit misses.
+        sigma_given: whether they stand in the table.
+    """
     flags = []
     if fit.degenerate and fit.n_states > 1:
         flags.append(
@@ -59,18 +86,18 @@ def of_fit(
             f"another: --states {other}."
         )
     if fit.has_offset:
-        c, share = _largest_constant(fit)
-        flags.append(
-            f"offset: a constant was fitted, in {fit.data.channels[c]} {fit.offset[c]:.3g}, {share:.0%} of its last "
-            "value: stray light, a dark value that was not taken off, or glow too slow to be seen falling. The reading "
-            "without the sample tells: subtract it, and fit with --offset none."
-        )
+        flags.append(_constant(fit))
     if sigma_known and fit.misses:
         by = "" if worst is None else f", by up to {worst.share:.0%} at {worst.t_s:.4g} s"
         flags.append(
             f"misfit: the fit misses the values by more than noise{by} (χ² / dof is {fit.chi2 / fit.dof:.3g}; 1 is "
             "right): they are no sum of so few exponentials. Rates and their errors, widened by the root of that, tell "
             "of the curve that comes nearest."
+        )
+    if sigma_given and fit.dof > 0 and chdtr(fit.dof, fit.chi2) < _TOO_GOOD:
+        flags.append(
+            f"sigma-large: the values scatter {np.sqrt(fit.dof / max(fit.chi2, 1e-300)):.2g} times less than their σ "
+            "say, and the errors are as much too large. Are σ those of these values, in their unit?"
         )
     if 0 < fit.dof < _FEW_DOF:
         flags.append(
@@ -82,12 +109,18 @@ def of_fit(
     return flags
 
 
-def _largest_constant(fit: DecayFit) -> tuple[int, float]:
-    """Return the channel in which a fitted constant is most of the last value, and how much."""
+def _constant(fit: DecayFit) -> str:
+    """Say what a fitted constant may be, for the channel in which it is most of the last value."""
     last = [fit.data.signal[np.flatnonzero(used)[-1], c] for c, used in enumerate(fit.data.used.T)]
     share = np.abs(fit.offset) / np.maximum(np.abs(last), 1e-300)
     c = int(np.argmax(share))
-    return c, float(share[c])
+    said = f"offset: a constant was fitted, in {fit.data.channels[c]} {fit.offset[c]:.3g}"
+    if fit.offset[c] < 0:
+        return f"{said}: too much was taken off as dark. Subtract what the meter reads without the sample."
+    return (
+        f"{said}, {share[c]:.0%} of its last value: stray light, a dark value that was not taken off, or glow too slow "
+        "to be seen falling. The reading without the sample tells: subtract it, and fit with --offset none."
+    )
 
 
 def votes(selection: Selection) -> str:
@@ -147,9 +180,9 @@ def of_rates(fit: DecayFit, interval: Array, *, too_many: bool) -> list[str]:
                 f"rate-open: the rate of state {i + 1} may be 0: it may be absent, others take its place."
             )
         elif low <= 0:
+            why = "what the fit misses is as large" if fit.misses else "too little of its fall is seen"
             flags.append(
-                f"rate-open: the rate of state {i + 1} may be 0: a constant in its place fits as well, since too "
-                "little of its fall is seen."
+                f"rate-open: the rate of state {i + 1} may be 0: a constant in its place fits as well, since {why}."
             )
     for i in range(fit.n_states - 1):
         if interval[i, 0] < interval[i + 1, 1]:
@@ -158,6 +191,22 @@ def of_rates(fit: DecayFit, interval: Array, *, too_many: bool) -> list[str]:
                 "tell them apart."
             )
     return flags
+
+
+def of_other_noise(fit: DecayFit, law: str, other: DecayFit) -> list[str]:
+    """Say what another law of noise, which is about as likely, makes of the values, if that is another model.
+
+    Args:
+        other: the choice with that noise.
+    """
+    if (other.n_states, other.has_offset) == (fit.n_states, fit.has_offset):
+        return []
+    rates = ", ".join(f"{kr:.4g}" for kr in other.kr_per_s)
+    constant = " and a constant" if other.has_offset else ", without a constant" if fit.has_offset else ""
+    return [
+        f"noise-law: noise {WORDS[law]} is about as likely, and of it come rates of {rates} 1/s{constant}. Give σ of "
+        f"the values, or say --noise {law} if you know."
+    ]
 
 
 def of_run(fit: DecayFit, run: Run, estimated: Noise | None) -> str:
@@ -192,15 +241,23 @@ def better_laws(fit: DecayFit, laws: Sequence[OtherLaw]) -> list[OtherLaw]:
     return sorted(better, key=lambda law: law.aicc)
 
 
-def of_laws(laws: Sequence[OtherLaw], exponentials: Miss | None, best: Miss | None) -> list[str]:
+def of_laws(
+    laws: Sequence[OtherLaw], exponentials: Miss | None, best: Miss | None, *, misses: bool
+) -> list[str]:
     """Say in one sentence that other laws fit better.
 
     Args:
         laws: that do, the best first.
         exponentials, best: what these and the best law miss most.
+        misses: whether the exponentials miss more than noise, as far as anything tells.
     """
     if not laws:
         return []
+    if not misses:
+        return [
+            f"other-law-as-good: a {laws[0].name} law describes the values as well, with fewer parameters: they do not "
+            "tell the one from the other. Beyond the times measured the two part."
+        ]
     by = ""
     if exponentials is not None and best is not None and best.share < exponentials.share:
         most = f"{best.share:.0%} (the exponentials {exponentials.share:.0%})"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -17,17 +16,20 @@ from phoslab.fitting.decay import MOST_STATES, DecayFit, fit_decay
 from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.extrapolation import Beyond
 from phoslab.fitting.intervals import bootstrap_intervals, rate_intervals
-from phoslab.fitting.missed import Miss, missed, valid_times, worst_miss
+from phoslab.fitting.missed import Miss, Noise, missed, valid_times, worst_miss
 from phoslab.fitting.other_laws import OtherLaw, fit_other_laws
 from phoslab.fitting.screening import Screened, clipped_start, screen
 from phoslab.fitting.selection import Selection, select
 from phoslab.fitting.table import read_table
 from phoslab.fitting.table_noise import LEAST_NOISE, estimate_noise
+from phoslab.fitting.written import for_json
 
 Array = NDArray[np.float64]
 
 # A pilot fit, for weights that all candidates share: enough states to follow any decay, few enough to leave scatter.
 _PILOT_STATES = 3
+# Values more than parameters that tell noise from what a pilot fit misses.
+_SPARE = 3
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class TableFit:
         better_laws: those of them that fit better than the exponentials, the best first.
         valid_s: the times that the data support.
         worst_miss: the well-measured value within these that the fit misses by the largest share; None without any.
+        misses: whether the data are no sum of so few exponentials: then there is no true rate to bracket.
         extrapolated: at the times asked for.
         flags: "code: sentence" each.
         lost: channels left out, with the reason.
@@ -62,14 +65,10 @@ class TableFit:
     better_laws: tuple[OtherLaw, ...]
     valid_s: tuple[float, float]
     worst_miss: Miss | None
+    misses: bool
     extrapolated: tuple[Beyond, ...]
     flags: tuple[str, ...]
     lost: dict[str, str]
-
-    @property
-    def misses(self) -> bool:
-        """Whether the data are no sum of so few exponentials: then there is no true rate to bracket."""
-        return bool(self.better_laws) or self.fit.misses
 
     @property
     def amplitude_standard_error(self) -> Array:
@@ -88,15 +87,15 @@ class TableFit:
         return {
             "states": fit.n_states,
             "channels": list(fit.data.channels),
-            "kr_per_s": _plain(fit.kr_per_s),
-            "amplitude": _plain(fit.amplitude),
-            "offset": _plain(fit.offset),
+            "kr_per_s": for_json(fit.kr_per_s),
+            "amplitude": for_json(fit.amplitude),
+            "offset": for_json(fit.offset),
             "offset_fitted": fit.has_offset,
-            "amplitude_standard_error": _plain(self.amplitude_standard_error),
-            "offset_standard_error": _plain(self.offset_standard_error),
-            "kr_standard_error": _plain(fit.kr_standard_error),
-            "interval95_per_s": _plain(self.interval95),
-            "bootstrap95_per_s": None if self.bootstrap95 is None else _plain(self.bootstrap95),
+            "amplitude_standard_error": for_json(self.amplitude_standard_error),
+            "offset_standard_error": for_json(self.offset_standard_error),
+            "kr_standard_error": for_json(fit.kr_standard_error),
+            "interval95_per_s": for_json(self.interval95),
+            "bootstrap95_per_s": None if self.bootstrap95 is None else for_json(self.bootstrap95),
             "chi2": fit.chi2,
             "dof": fit.dof,
             "sigma": self.sigma,
@@ -110,7 +109,7 @@ class TableFit:
                         "offset": c.fit.has_offset,
                         "chi2": c.fit.chi2,
                         "dof": c.fit.dof,
-                        "AICc": _finite(c.fit.aicc),
+                        "AICc": for_json(c.fit.aicc),
                         "BIC": c.fit.bic,
                         "F_test": c.f_test,
                         "cross_validation": c.cross_validation,
@@ -118,7 +117,10 @@ class TableFit:
                     }
                     for c in s.candidates
                 ],
-                "votes": {name: vote.n_states for name, vote in s.votes.items()},
+                "votes": {
+                    name: {"states": vote.n_states, "offset": vote.fit.has_offset}
+                    for name, vote in s.votes.items()
+                },
                 "choice": fit.n_states,
             },
             "other_laws": [
@@ -133,6 +135,7 @@ class TableFit:
             "extrapolated": [b.to_dict() for b in self.extrapolated],
             "lost": self.lost,
             "flags": list(self.flags),
+            "warnings": [flag for flag in self.flags if not table_doubts.usual(flag)],
         }
 
 
@@ -191,7 +194,7 @@ def fit_screened(
     offsets = {"auto": [False, True], "none": [False], "fit": [True]}[offset]
     if not _carries(data, numbers[0], offset=offsets[0]):
         numbers, offsets = _reduced(data, numbers, offsets, flags, file)
-    pilot_states = max([n for n in range(1, _PILOT_STATES + 1) if _carries(data, n, spare=3)], default=1)
+    pilot_states = max([n for n in range(1, _PILOT_STATES + 1) if _carries(data, n, spare=_SPARE)], default=1)
     if known:
         data, said, estimated = replace(data, law=noise.law_of(data.signal, data.sigma)), "given", None
     else:
@@ -206,27 +209,42 @@ def fit_screened(
     selection = select(data, states=numbers, offsets=offsets, **tested)
     chosen = selection.chosen.fit
     fit = _final(data, chosen, chosen.n_states, known)
-    runs = missed(fit, sigma_given=screened.sigma_given)
+    told_apart = screened.sigma_given or _carries(data, 1, spare=_SPARE)
+    measured = Noise(data.sigma if told_apart else np.zeros_like(data.sigma), screened.sigma_given)
+    runs = missed(fit, measured)
     valid = valid_times(fit, runs)
 
     def worst(course: Array) -> Miss | None:
-        return worst_miss(fit, course, valid, sigma_given=screened.sigma_given)
+        return worst_miss(fit, course, valid, measured)
 
     told = worst(fit.predict(fit.data.t_s, fit.data.exposure_s))
-    flags += table_doubts.of_fit(fit, selection, told, auto=states == "auto", sigma_known=known)
+    flags += table_doubts.of_fit(
+        fit, selection, told, auto=states == "auto", sigma_known=known, sigma_given=screened.sigma_given
+    )
     spare = None if states == "auto" else table_doubts.too_many_states(fit, offsets, **tested)
     flags += [spare] if spare else []
     interval = rate_intervals(fit, sigma_known=known)
+    for law in () if estimated is None or estimated.own else estimated.rivals:
+        weighed = estimate_noise(data, pilot_states, law).data
+        choice = select(weighed, states=numbers, offsets=offsets, **tested).chosen.fit
+        flags += table_doubts.of_other_noise(fit, law, choice)
+        again = _final(weighed, fit, fit.n_states, known)
+        interval = _hull(interval, rate_intervals(again, sigma_known=known))
     flags += table_doubts.of_rates(fit, interval, too_many=spare is not None)
     flags += [table_doubts.of_run(fit, run, estimated) for run in runs]
     other = fit_other_laws(fit.data)
     better = table_doubts.better_laws(fit, other)
-    flags += table_doubts.of_laws(better, told, worst(better[0].course) if better else None)
-    beyonds = tuple(
-        b if not runs or valid[0] <= b.t_s <= valid[1] else replace(b, value=np.full_like(b.value, np.nan))
-        for b in (extrapolation.beyond(fit, t) for t in extrapolate_s)
+    flags += table_doubts.of_laws(
+        better,
+        told,
+        worst(better[0].course) if better else None,
+        misses=fit.misses or not screened.sigma_given,
     )
-    flags += extrapolation.warnings(beyonds, data.end_s)
+    beyonds = tuple(
+        _believed(extrapolation.beyond(fit, t), valid if runs else None, interval, data)
+        for t in extrapolate_s
+    )
+    flags += extrapolation.warnings(beyonds, data)
     return TableFit(
         fit=fit,
         selection=selection,
@@ -239,6 +257,8 @@ def fit_screened(
         better_laws=tuple(better),
         valid_s=valid,
         worst_miss=told,
+        # With σ from the scatter about the fit itself χ² tells nothing, and another law has to.
+        misses=bool(fit.misses or runs or (better and not screened.sigma_given)),
         extrapolated=beyonds,
         flags=tuple(flags),
         lost=screened.lost,
@@ -294,12 +314,22 @@ def _final(data: DecayData, chosen: DecayFit, n_states: int, known: bool) -> Dec
     )
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _believed(b: Beyond, valid_s: tuple[float, float] | None, interval: Array, data: DecayData) -> Beyond:
+    """Return a value at another time with the fit's own left out where that is not to be believed.
+
+    Args:
+        valid_s: where the fit misses nothing by much, if that is not everywhere.
+        interval: (n_c, 2) of the rates.
+    """
+    first = float(data.t_s.min())
+    if valid_s is not None and not valid_s[0] <= b.t_s <= valid_s[1]:
+        return b.without_value(f"the fit is valid from {valid_s[0]:.4g} s to {valid_s[1]:.4g} s only")
+    if b.t_s < first and not np.isfinite(interval[:, 1]).all():
+        # What faded before the first value is as large as one likes before it.
+        return b.without_value(f"it counts on light that may have been over at {first:.4g} s")
+    return b
 
 
-def _plain(values: Array) -> Any:
-    """Return an array as lists, with null for what is not finite."""
-    if values.ndim > 1:
-        return [_plain(row) for row in values]
-    return [_finite(v) for v in values.tolist()]
+def _hull(one: Array, other: Array) -> Array:
+    """Return (n_c, 2) intervals that hold both."""
+    return np.stack([np.minimum(one[:, 0], other[:, 0]), np.maximum(one[:, 1], other[:, 1])], axis=1)

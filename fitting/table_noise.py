@@ -22,11 +22,13 @@ Array = NDArray[np.float64]
 LEAST_NOISE = 1e-10
 # What is less simple must be likelier by a factor of e².
 _LIKELIER = 2.0
+# What is less likely by a factor of e³ is not; of few values that are nearly followed, likelihoods tell less.
+_UNLIKELY = 3.0
 _OTHER = "Becquerel"
 # Weights of another law follow its own course: relative ones settle to a per cent.
 _ITERATIONS = 4
 
-_WORDS = {
+WORDS = {
     "constant": "the same for all values of a channel",
     "photon": "growing with the root of the signal",
     "relative": "in proportion to the signal",
@@ -42,12 +44,14 @@ class Noise:
         law: "constant", "photon" or "relative".
         said: how σ was found, in words.
         own: whether σ is from another law than the exponentials: then χ² tells how well these do.
+        rivals: laws of noise that are not much less likely.
     """
 
     data: DecayData
     law: str
     said: str
     own: bool
+    rivals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -77,27 +81,33 @@ def estimate_noise(data: DecayData, n_states: int, law: str = "auto", *, skip: i
         skip: leave so many first frames out of it.
     """
     rest = data.take(slice(skip, None)) if data.t_s.size > 2 * n_states + 4 + skip else data
-    best: tuple[float, str, _Course] | None = None
+    found_by: dict[str, tuple[float, _Course]] = {}
     for name in noise.LAWS if law == "auto" else (law,):
         for course in _courses(rest, name, n_states):
             # Fewer parameters are no merit of another law: every decay is judged by the price of the exponentials.
             price = max(course.n_parameters, n_states + n_states / rest.signal.shape[1])
             simpler = (name == "constant") + (course.about == "the fit")
             likelihood = _likelihood(rest, course, price) + _LIKELIER * simpler
-            if best is None or likelihood > best[0]:
-                best = likelihood, name, course
-    assert best is not None
-    _, name, course = best
+            if name not in found_by or likelihood > found_by[name][0]:
+                found_by[name] = likelihood, course
+    name = max(found_by, key=lambda law: found_by[law][0])
+    likeliest, course = found_by[name]
+    worth = max(rest.n_values - course.n_parameters * rest.signal.shape[1], 1.0) / rest.n_values
+    rivals = tuple(
+        law for law, (x, _) in found_by.items() if law != name and worth * (likeliest - x) < _UNLIKELY
+    )
     factor = np.sqrt(_scale2(rest, course, course.n_parameters))
     found = noise.unscaled(noise.LAWS[name], data.signal.shape[1]).scaled(factor)
-    said = f"estimated from the scatter about {course.about}, {_WORDS[name]}"
+    said = f"estimated from the scatter about {course.about}, {WORDS[name]}"
     if course.about == "the fit":
         first = np.where(data.used, found.sigma(np.maximum(data.signal, 0.0)), np.inf)
         fit = fit_decay(replace(data, sigma=first, law=found), n_states, rank_one=False, polish=False)
         law_kept = None if name == "constant" else found
-        return Noise(replace(fit.data, law=law_kept, expected=None), name, said, own=False)
+        return Noise(replace(fit.data, law=law_kept, expected=None), name, said, own=False, rivals=rivals)
     (whole,) = [c for c in _courses(data, name, n_states) if c.about == course.about]
-    return Noise(replace(data, sigma=whole.unit * factor, law=None, expected=None), name, said, own=True)
+    return Noise(
+        replace(data, sigma=whole.unit * factor, law=None, expected=None), name, said, own=True, rivals=rivals
+    )
 
 
 def _courses(data: DecayData, name: str, n_states: int) -> list[_Course]:

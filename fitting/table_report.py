@@ -6,6 +6,7 @@ import numpy as np
 
 from phoslab.fitting import extrapolation, table_doubts
 from phoslab.fitting.other_laws import OtherLaw
+from phoslab.fitting.selection import SIGNIFICANCE
 from phoslab.fitting.table_fit import TableFit
 from phoslab.fitting.written import by_chance, criterion, with_error
 
@@ -96,16 +97,20 @@ def choice(result: TableFit) -> str:
     """Return what each criterion would choose, or that there was no choice."""
     if len(result.selection.candidates) == 1:
         return "No other was tried: not asked for, or more than so few values can tell."
-    return f"{_rival(result)}The criteria would choose: {table_doubts.votes(result.selection)}. The F-test decides."
+    return (
+        "Chosen: the smallest model that no larger one which contains it beats significantly (F-test, "
+        f"p < {SIGNIFICANCE:g}){_rival(result)}. Each criterion alone would choose: "
+        f"{table_doubts.votes(result.selection)}."
+    )
 
 
 def _rival(result: TableFit) -> str:
-    """Return what comes nearest to beat the choice."""
+    """Return what comes nearest to beating the choice."""
     if result.selection.rival is None:
         return ""
     candidate, p = result.selection.rival
     name = f"{candidate.n_states} state{'s' * (candidate.n_states > 1)}{' and an offset' * candidate.fit.has_offset}"
-    return f"Of those that contain it, {name} come{'s' * (candidate.n_states == 1)} nearest: {by_chance(p)} (F-test). "
+    return f"; nearest to that comes {name}, p = {by_chance(p)}"
 
 
 def extrapolated_back(result: TableFit) -> str:
@@ -123,15 +128,22 @@ def law_parameters(law: OtherLaw) -> str:
 
 
 def rate(result: TableFit, i: int) -> str:
-    """Return a rate with its standard error, or that the data do not determine it."""
+    """Return a rate with its standard error, or what the data say of it instead."""
     if _open(result, i):
         return "not determined"
+    if np.isinf(result.interval95[i, 1]):
+        return f"above {result.interval95[i, 0]:.4g}"
     return with_error(float(result.fit.kr_per_s[i]), float(result.fit.kr_standard_error[i]), share=True)
 
 
 def _open(result: TableFit, i: int) -> bool:
     """Whether the data exclude no rate of a state."""
     return bool(result.interval95[i, 0] <= 0 and np.isinf(result.interval95[i, 1]))
+
+
+def _gone(result: TableFit, i: int) -> bool:
+    """Whether a state may have faded before the first value, so that it may have had any amplitude."""
+    return bool(result.fit.data.t_s.min() > 0 and np.isinf(result.interval95[i, 1]))
 
 
 def interval(result: TableFit, i: int) -> str:
@@ -141,10 +153,10 @@ def interval(result: TableFit, i: int) -> str:
 
 
 def lifetime(result: TableFit, i: int) -> str:
-    """Return 1 / kr, or its least value where the rate may be 0."""
+    """Return 1 / kr, or its least or largest value where the rate is open."""
     low, high = result.interval95[i]
     if low > 0:
-        return f"{1 / result.fit.kr_per_s[i]:.4g} s"
+        return f"{1 / result.fit.kr_per_s[i]:.4g} s" if np.isfinite(high) else f"below {1 / low:.4g} s"
     return f"above {1 / high:.4g} s" if np.isfinite(high) else "not determined"
 
 
@@ -153,7 +165,7 @@ def linear(result: TableFit, channel: int) -> dict[str, str]:
     fit = result.fit
     found = {
         f"A[{i + 1}]": "not determined"
-        if _open(result, i)
+        if _open(result, i) or _gone(result, i)
         else with_error(float(fit.amplitude[i, channel]), float(result.amplitude_standard_error[i, channel]))
         for i in range(fit.n_states)
     }

@@ -24,6 +24,8 @@ Basis = Callable[[Array], tuple[Array, Array]]
 
 _EPS = float(np.finfo(np.float64).eps)
 _MOST_STEPS = 300
+# Of a unit vector along which nothing is determined: what is less of a parameter is rounding.
+_NO_PART = 1e-6
 # θ are logarithms and ratios: a step beyond this leaves the region where the linear model means anything.
 _LONGEST_STEP = 2.0
 # Relative decrease of chi² below which the search hands over to the polish.
@@ -290,7 +292,8 @@ def _linear(phi: Array, y: Array, signed: Mask | None) -> tuple[Array, Mask, Arr
 def covariance(basis: Basis, solution: Solution) -> Array:
     """Return the covariance of (θ, x of block 0, x of block 1, ...) for unit-variance data, by QR.
 
-    A parameter that the data do not determine (a linear one at 0, or one whose column vanishes) gets infinity.
+    A parameter that the data do not determine (a linear one at 0, one whose column vanishes, or one that others can
+    make up for) gets infinity.
     """
     phi, dphi = basis(solution.theta)
     n_blocks, m, n_x = phi.shape
@@ -306,8 +309,20 @@ def covariance(basis: Basis, solution: Solution) -> Array:
     cov = np.full((J.shape[1], J.shape[1]), np.inf)
     r = qr(J[:, free] / scale[free], mode="r")[0][: int(free.sum())]
     if np.abs(np.diag(r)).min(initial=1.0) <= _EPS * J.shape[0]:
-        return cov
+        return _covariance_of_some(J, free, cov)
     inverse = solve_triangular(r, np.eye(r.shape[0])) / scale[free, None]
     with np.errstate(over="ignore"):  # a parameter that nothing determines
         cov[np.ix_(free, free)] = inverse @ inverse.T
+    return cov
+
+
+def _covariance_of_some(J: Array, free: Mask, cov: Array) -> Array:
+    """Return the covariance where some directions are not determined: of the parameters that have no part in these."""
+    columns = np.flatnonzero(free)
+    scale = np.linalg.norm(J[:, columns], axis=0)
+    _, s, vt = np.linalg.svd(J[:, columns] / scale, full_matrices=False)
+    told = s > _EPS * J.shape[0] * s[0]
+    known = np.abs(vt[~told]).max(axis=0, initial=0.0) < _NO_PART
+    inverse = (vt[told].T / s[told])[known] / scale[known, None]
+    cov[np.ix_(columns[known], columns[known])] = inverse @ inverse.T
     return cov

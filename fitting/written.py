@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 
 def with_error(value: float, error: float, *, share: bool = False) -> str:
@@ -38,3 +41,10 @@ def by_chance(p: float | None) -> str:
     if p is None:
         return "-"
     return f"{p:.2g}" if p >= 1e-9 else "< 1e-9"
+
+
+def for_json(values: float | NDArray[np.float64]) -> Any:
+    """Return a number, or an array as lists, with null for what is not finite."""
+    if np.ndim(values):
+        return [for_json(v) for v in np.asarray(values)]
+    return float(values) if np.isfinite(values) else None

@@ -9,6 +9,8 @@ HELP = "luminance decay against the classes of safety signs"
 EXAMPLE = "phoslab classify decay.csv --unit mcd/m2 --lux 1000 --minutes 5"
 
 _MCD = {"mcd/m2": 1.0, "cd/m2": 1000.0}
+# At which shares of the start are told: those of all standards.
+_MINUTES = (2.0, 10.0, 20.0, 30.0, 60.0)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -37,8 +39,6 @@ def _positive(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     import json
-    import math
-    from collections.abc import Callable
 
     import numpy as np
     from numpy.typing import NDArray
@@ -54,6 +54,12 @@ def run(args: argparse.Namespace) -> int:
             remedy=f"If sessions lie in it, fit them first: `phoslab fit {args.decay} -o material.json`, then "
             "`phoslab classify material.json`.",
         )
+    if str(args.decay).startswith("preset:"):
+        raise PhoslabError(
+            "is a preset, and these are calibrated only relatively: they have no class",
+            field=str(args.decay),
+            remedy="Name a material file or a table of luminance.",
+        )
     is_material = args.decay.suffix == ".json"
     if is_material:
         from phoslab.kinetics import emitted_radiance
@@ -64,21 +70,27 @@ def run(args: argparse.Namespace) -> int:
         if loose := material.provenance.get("product_only"):
             which = ", ".join(str(i + 1) for i in loose)
             raise PhoslabError(
-                f"tells only the product of light and excitation of state {which}: how bright the sample is when every "
+                f"does not tell how full state {which} was when the lamp went off: how bright the sample is when every "
                 "state is full, as after a standard's charge, is not known",
                 file=args.decay,
                 field="provenance.product_only",
-                remedy="Record an excitation series in which the glow saturates, or classify a decay that was measured "
-                "after the standard's charge.",
+                remedy="Classify a decay that was measured after the standard's charge; what else would tell stands in "
+                "the report of the fit.",
             )
         absolute = material.calibration == "absolute"
-        first, reach = material.valid_s or (0.0, math.inf)
+        if material.valid_s is None:
+            raise PhoslabError(
+                "does not say how far its data reach",
+                file=args.decay,
+                field="valid_s",
+                remedy="Give [first, last] in s.",
+            )
 
         def glow_of_material(t_s: Array) -> Array:
             full = np.exp(-np.outer(t_s, material.kr_per_s))  # r(0) = 1: the material says no other
             return np.asarray(1e3 * luminance(emitted_radiance(material, full), material.bands))
 
-        glow: Callable[[Array], Array] = glow_of_material
+        glow = pc.Glow(glow_of_material, *material.valid_s)
         flags: tuple[str, ...] = ()
         note = "every state full when the light went off; the glow is the material's own"
     else:
@@ -89,32 +101,23 @@ def run(args: argparse.Namespace) -> int:
         data, flags = screened.data, screened.flags
         channel = _channel(args.channel, data.channels, args.decay)
         absolute = args.unit != "relative"
-        glow, reach = pc.measured(data, channel, _MCD.get(args.unit, 1.0))
-        first = float(data.t_s[0])
+        glow = pc.measured(data, channel, _MCD.get(args.unit, 1.0), sigma_given=screened.sigma_given)
         flags += pc.in_the_noise(data, channel)
         note = f"measured values of {data.channels[channel]}, straight lines in log L over log t between them"
-    if not math.isfinite(reach):
-        raise PhoslabError(
-            "does not say how far its data reach",
-            file=args.decay,
-            field="valid_s",
-            remedy="Give [first, last] in s.",
-        )
     excitation = pc.Excitation(args.lux, None if args.minutes is None else 60 * args.minutes)
-    known = [m for m in (2.0, 10.0, 20.0, 30.0, 60.0) if 60 * m <= reach]
-    values = glow(np.array([first, *(60 * m for m in known)])).tolist()
-    ratios = {f"{m:g} min": v / values[0] for m, v in zip(known, values[1:], strict=True)}
-    verdicts = pc.classify(glow, reach, excitation) if absolute else []
+    start = float(glow.luminance_mcd(np.array([glow.first_s]))[0])
+    ratios = {f"{m:g} min": v / start for m, v in glow.at(_MINUTES).items()}
+    verdicts = pc.classify(glow, excitation) if absolute else []
     # The label says nothing of the light before it: of another charging it would pass for the standard's.
     unlike_din = pc.differs(pc.DIN, excitation)
-    label = pc.din_label(glow, reach) if absolute and not unlike_din else None
+    label = pc.din_label(glow) if absolute and not unlike_din else None
     if args.json:
         print(
             json.dumps(
                 {
                     "absolute": absolute,
-                    "reaches_s": reach,
-                    "start_s": first,
+                    "reaches_s": glow.last_s,
+                    "start_s": glow.first_s,
                     "of_the_start": ratios,
                     "verdicts": [{**vars(v), "luminance_mcd": dict(v.luminance_mcd)} for v in verdicts],
                     "din_67510_style": label,
@@ -126,12 +129,15 @@ def run(args: argparse.Namespace) -> int:
             )
         )
         return 0
-    print(printable(f"{args.decay.name}: {note}; data reach to {reach / 60:.3g} min"))
+    print(printable(f"{args.decay.name}: {note}; data reach {glow.span}"))
     if not absolute:
-        shares = ", ".join(f"{share:.2%} at {when}" for when, share in ratios.items()) or "none before 2 min"
+        shares = (
+            ", ".join(f"{share:.2%} at {when}" for when, share in ratios.items())
+            or "none at 2, 10, 20, 30 or 60 min"
+        )
         print(
-            f"Calibrated only relatively: no class can be given, only shares of the glow at {first:.3g} s, the first "
-            f"that the data support: {shares}."
+            "Calibrated only relatively: no class can be given, only shares of the glow at "
+            f"{glow.first_s:.3g} s, the first that the data support: {shares}."
         )
         print(
             'A material needs "calibration": "absolute", see "Relative and absolute" in docs/model.md; or classify a '
@@ -149,7 +155,7 @@ def run(args: argparse.Namespace) -> int:
             if unlike_din
             else f"{label}, {pc.DIN.unchecked}: {pc.DIN_LEGEND}"
             if label
-            else "insufficient data: 10 min are needed"
+            else f"insufficient data: they reach {glow.span}; 10 or 60 min are needed"
         )
         print(f"  {pc.DIN.name:16} {said}")
     if any(v.verdict == "not comparable" for v in verdicts):

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from phoslab.app import fit_check, fit_per_pixel
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from phoslab.fitting.extrapolation import Beyond
+    from phoslab.fitting.result import FitResult
 
 HELP = "fit a material to recorded sessions, or rates to a decay table"
 EXAMPLE = (
@@ -202,7 +211,6 @@ def _fit_table(args: argparse.Namespace) -> int:
 
 def _fit_session(args: argparse.Namespace) -> int:
     import json
-    import math
     from dataclasses import replace
 
     from phoslab.app.progress import progress_bar
@@ -223,7 +231,7 @@ def _fit_session(args: argparse.Namespace) -> int:
             progress=progress,
         )
     beyonds = [extrapolation.beyond(result.fit, t_s) for t_s in args.extrapolate]
-    warned = extrapolation.warnings(beyonds, result.fit.data.end_s)
+    warned = extrapolation.warnings(beyonds, result.fit.data)
     result = replace(result, warnings=(*result.warnings, *warned))
     bootstrap = bootstrap_intervals(result.fit, args.bootstrap, seed=0) if args.bootstrap else None
     result.material.save(args.output)
@@ -232,33 +240,7 @@ def _fit_session(args: argparse.Namespace) -> int:
 
         write_report(args.report, result)
     if args.json:
-
-        def plain(values: list[float]) -> list[float | None]:
-            return [v if math.isfinite(v) else None for v in values]
-
-        print(
-            json.dumps(
-                {
-                    "material": str(args.output),
-                    "report": str(args.report) if args.report else None,
-                    "states": result.fit.n_states,
-                    "kr_per_s": result.fit.kr_per_s.tolist(),
-                    "kr_standard_error": plain(result.fit.kr_standard_error.tolist()),
-                    "interval95_per_s": [plain(ends) for ends in result.interval95.tolist()],
-                    "bootstrap95_per_s": None if bootstrap is None else bootstrap.tolist(),
-                    "extrapolated": [b.to_dict() for b in beyonds],
-                    "chi2": result.fit.chi2,
-                    "dof": result.fit.dof,
-                    "ke_m2_per_J": [plain(row) for row in result.material.ke_m2_per_J.tolist()],
-                    "emission": result.material.emission.tolist(),
-                    "band_edges_nm": result.material.bands.edges_nm.tolist(),
-                    "assumed": result.assumed,
-                    "missing": list(result.missing),
-                    "warnings": list(result.warnings),
-                    "notes": list(result.notes),
-                }
-            )
-        )
+        print(json.dumps(_session_answer(args, result, bootstrap, beyonds)))
     else:
         print(result.report())
         if bootstrap is not None:
@@ -269,3 +251,38 @@ def _fit_session(args: argparse.Namespace) -> int:
             print(line)
         print(f"Wrote {args.output}" + (f" and {args.report}" if args.report else ""))
     return 0
+
+
+def _session_answer(
+    args: argparse.Namespace,
+    result: FitResult,
+    bootstrap: NDArray[np.float64] | None,
+    beyonds: Sequence[Beyond],
+) -> dict[str, Any]:
+    """Return what `--json` prints; what is not determined is null."""
+    from phoslab.fitting.written import for_json
+
+    fit, material = result.fit, result.material
+    product_only = material.provenance["product_only"]
+    return {
+        "material": str(args.output),
+        "report": str(args.report) if args.report else None,
+        "states": fit.n_states,
+        "kr_per_s": fit.kr_per_s.tolist(),
+        "kr_standard_error": for_json(fit.kr_standard_error),
+        "interval95_per_s": for_json(result.interval95),
+        "bootstrap95_per_s": None if bootstrap is None else bootstrap.tolist(),
+        "extrapolated": [b.to_dict() for b in beyonds],
+        "chi2": fit.chi2,
+        "dof": fit.dof,
+        "ke_m2_per_J": for_json(material.ke_m2_per_J),
+        "ke_upper_limit": None if material.ke_upper_limit is None else for_json(material.ke_upper_limit),
+        "emission": material.emission.tolist(),
+        "standard_error": material.standard_error,
+        "only_product_of_ke_and_emission": [i in product_only for i in range(fit.n_states)],
+        "band_edges_nm": material.bands.edges_nm.tolist(),
+        "assumed": result.assumed,
+        "missing": list(result.missing),
+        "warnings": list(result.warnings),
+        "notes": list(result.notes),
+    }

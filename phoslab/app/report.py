@@ -138,8 +138,9 @@ def _decay_figure(result: FitResult) -> Figure:
             label=channel,
         )
         upper.plot(t, curve[:, c], color=colour, lw=1)
-        miss = 100 * (data.signal[used, c] / predicted[used, c] - 1)
-        spread = 100 * data.total_sigma[used, c] / np.abs(predicted[used, c])
+        seen = np.where(data.signal[used, c] == 0, np.nan, data.signal[used, c])
+        miss = 100 * (seen - predicted[used, c]) / np.abs(seen)
+        spread = 100 * data.total_sigma[used, c] / np.abs(seen)
         lower.errorbar(middle[used], miss, spread, fmt="o", ms=3, lw=0.8, color=colour)
     upper.set_yscale("log")
     upper.set_ylabel("signal [DN/s at ISO 100, f/1]")

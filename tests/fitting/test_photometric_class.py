@@ -9,7 +9,7 @@ import pytest
 from phoslab import preset
 from phoslab.app import cli
 from phoslab.fitting.decay_data import DecayData
-from phoslab.fitting.photometric_class import STANDARDS, Excitation, classify, din_label, measured
+from phoslab.fitting.photometric_class import STANDARDS, Excitation, Glow, classify, din_label, measured
 from phoslab.kinetics import emitted_radiance
 from phoslab.photometry import luminance
 
@@ -25,8 +25,9 @@ def through(standard, name, factor=1.0):
     return lambda at: np.exp(np.interp(np.log(at), np.log(t), np.log(values)))
 
 
-def verdict(standard, *arguments):
-    return next(v for v in classify(*arguments) if v.standard == standard)
+def verdict(standard, law, last_s, excitation, first_s=0.0, share=0.0):
+    glow = Glow(law, first_s, last_s, lambda t: np.full(np.shape(t), share))
+    return next(v for v in classify(glow, excitation) if v.standard == standard)
 
 
 @pytest.mark.parametrize(
@@ -62,9 +63,32 @@ def test_a_decay_that_ends_early_is_insufficient_and_says_what_is_missing():
     v = verdict(PSPA, through(PSPA, "C"), 900.0, XENON)
     assert v.verdict == "insufficient data"
     assert (
-        "15 min; 30, 60 min are needed (so far it could be C; D needs 260 mcd/m2 at 10 min, measured 140)"
+        "from 0 to 15 min; 30, 60 min are needed (so far it could be C; D needs 260 mcd/m2 at 10 min, measured 140)"
         in v.reason
     )
+
+
+def test_nothing_is_read_off_before_the_first_value(tmp_path, capsys):
+    """Neither a class, nor a share, nor a label: the glow at 2 min is not that at 20."""
+    v = verdict(PSPA, through(PSPA, "C"), 3600.0, XENON, first_s=1200.0)
+    assert v.verdict == "insufficient data"
+    assert list(v.luminance_mcd) == [30, 60]
+    assert "from 20 to 60 min; 2, 10 min are needed" in v.reason
+    table = tmp_path / "late.csv"
+    table.write_text("t_s,lum\n1200,50\n1800,30\n3600,12\n")
+    assert cli.main(["classify", str(table)]) == 0
+    said = capsys.readouterr().out
+    assert "24.00% at 60 min" in said
+    assert "at 10 min" not in said
+
+
+def test_a_class_within_the_error_of_the_readings_is_said_to_be_so():
+    sure = verdict(PSPA, through(PSPA, "C", 0.97), 3600.0, XENON, share=0.01)
+    assert "within two" not in sure.reason
+    assert sure.verdict == "B"
+    unsure = verdict(PSPA, through(PSPA, "C", 0.97), 3600.0, XENON, share=0.02)
+    assert unsure.verdict == "B"
+    assert "within two standard errors of the readings it is from B to C" in unsure.reason
 
 
 @pytest.mark.parametrize("other", [TUBE, Excitation(1000, 600), Excitation(1000), Excitation()])
@@ -81,22 +105,23 @@ def test_the_din_label_names_two_luminances_and_the_end_of_sight():
     def law(t):
         return 200.0 * (600 / t)  # 200 mcd/m² at 10 min, 0.3 at 400,000 s = 6667 min
 
-    assert din_label(law, 3600.0) == "200/33.3-?"
-    assert din_label(law, 5e5).split("-")[0] == "200/33.3"
-    assert float(din_label(law, 5e5).split("-")[1]) == pytest.approx(
-        6667, rel=3e-3
-    )  # 4000 steps a range of e^9
-    assert din_label(law, 599.0) is None
+    assert din_label(Glow(law, 0.0, 3600.0)) == "200/33.3-?"
+    assert din_label(Glow(law, 0.0, 5e5)).split("-")[0] == "200/33.3"
+    end = din_label(Glow(law, 0.0, 5e5)).split("-")[1]
+    assert float(end) == pytest.approx(6667, rel=3e-3)  # 4000 steps a range of e^9
+    assert din_label(Glow(law, 0.0, 599.0)) is None
+    assert din_label(Glow(law, 1200.0, 3600.0)) == "?/33.3-?"
 
 
 def test_values_between_measured_ones_follow_a_power_law():
     t = np.geomspace(30, 4000, 30)
     data = DecayData(t, np.zeros(30), (1e5 / t)[:, None], np.ones((30, 1)), channels=("L",))
-    lum, reach = measured(data, 0, 1.0)
+    glow = measured(data, 0, 1.0, sigma_given=True)
     at = np.array([120.0, 600.0, 3600.0])
     # Lines over log (t + 30 s) instead of log t: curvature between values 17 % apart is below 1e-3.
-    assert lum(at) == pytest.approx(1e5 / at, rel=1e-3)
-    assert reach == pytest.approx(4000)
+    assert glow.luminance_mcd(at) == pytest.approx(1e5 / at, rel=1e-3)
+    assert glow.share(at) == pytest.approx(at / 1e5, rel=1e-2)
+    assert (glow.first_s, glow.last_s) == pytest.approx((30, 4000))
 
 
 def test_the_command_says_class_and_that_it_is_no_certificate(tmp_path, capsys):
@@ -125,8 +150,8 @@ def test_a_material_that_does_not_tell_how_bright_full_states_are_is_refused(tmp
     replace(m, provenance={**m.provenance, "product_only": [0]}).save(tmp_path / "m.json")
     assert cli.main(["classify", str(tmp_path / "m.json")]) == 1
     said = capsys.readouterr().err
-    assert "product of light and excitation of state 1" in said
-    assert "saturates" in said
+    assert "how full state 1 was" in said
+    assert "a decay that was measured after the standard's charge" in said
 
 
 def test_a_materials_shares_are_of_the_first_glow_that_its_data_support(tmp_path, capsys):
@@ -170,7 +195,7 @@ def test_what_is_lost_in_noise_is_not_read(tmp_path, capsys):
     arguments = ["classify", str(table), "--unit", "mcd/m2", "--lux", "1000", "--minutes", "5"]
     assert cli.main(arguments) == 0
     said = capsys.readouterr().out
-    assert "data reach to 20 min" in said
+    assert "data reach from 0.167 to 20 min" in said
     assert "in-the-noise: from 1500 s on" in said
 
 
