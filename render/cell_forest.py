@@ -70,7 +70,7 @@ def grow(meshes: Mapping[int, FlatMesh], smallest: float) -> Forest:
     mesh = FlatMesh.joined(list(meshes.values()))
     counts = np.array([len(m.areas) for m in meshes.values()], dtype=np.intp)
     levels = _levels(mesh, Clusters(np.arange(counts.sum()), counts[counts > 0]), smallest)
-    halved = list(halve_all(mesh, np.concatenate([level.singles() for level in levels]), smallest))
+    halved = list(halve_all(mesh, np.concatenate([level.singles for level in levels]), smallest))
     cells, leaves = (np.ones(len(mesh.areas), dtype=np.intp) for _ in range(2))
     for batch in halved:
         cells[batch.parts], leaves[batch.parts] = batch.n, batch.n_leaves
@@ -88,35 +88,30 @@ class _Level:
     """Cells that are equally far from their roots. Those that are `split` have two each on the next level, in a row.
 
     Args:
+        is_single, is_leaf, split: (c,) whether a cell is one part, or a likeness of some, or two.
+        singles, leaves: what is in the first and in the second.
         n, n_leaves: (c,) how many cells and smallest cells each is made of, itself included.
         at, leaf_at: (c,) where the cell stands in the order of the walk, and its first smallest cell in theirs.
     """
 
-    clusters: Clusters
     likenesses: Likenesses
+    is_single: NDArray[np.bool_]
     is_leaf: NDArray[np.bool_]
+    singles: Indices
+    leaves: Clusters
     n: Indices = field(init=False)
     n_leaves: Indices = field(init=False)
     at: Indices = field(init=False)
     leaf_at: Indices = field(init=False)
 
     @property
-    def is_single(self) -> NDArray[np.bool_]:
-        return np.asarray(self.clusters.sizes == 1)
-
-    @property
     def split(self) -> NDArray[np.bool_]:
         return ~self.is_leaf & ~self.is_single
 
-    def singles(self) -> Indices:
-        """Return the parts that are alone."""
-        return self.clusters.select(self.is_single).of
-
     def count(self, below: _Level | None, cells: Indices, leaves: Indices) -> None:
         """Count the cells, those of the level below and of all parts being counted."""
-        self.n, self.n_leaves = np.ones_like(self.clusters.sizes), np.ones_like(self.clusters.sizes)
-        parts = self.singles()
-        self.n[self.is_single], self.n_leaves[self.is_single] = cells[parts], leaves[parts]
+        self.n, self.n_leaves = (np.ones(len(self.is_leaf), dtype=np.intp) for _ in range(2))
+        self.n[self.is_single], self.n_leaves[self.is_single] = cells[self.singles], leaves[self.singles]
         if below is not None:
             self.n[self.split] = 1 + below.n.reshape(-1, 2).sum(axis=1)
             self.n_leaves[self.split] = below.n_leaves.reshape(-1, 2).sum(axis=1)
@@ -135,8 +130,11 @@ def _levels(mesh: FlatMesh, roots: Clusters, smallest: float) -> list[_Level]:
     levels, clusters = [], roots
     while len(clusters.sizes):
         like = Likenesses.of(mesh, clusters)
-        is_leaf = (like.radii <= smallest) & (like.errors < NEVER) & (clusters.sizes > 1)
-        levels.append(_Level(clusters, like, is_leaf))
+        is_single = clusters.sizes == 1
+        is_leaf = (like.radii <= smallest) & (like.errors < NEVER) & ~is_single
+        levels.append(
+            _Level(like, is_single, is_leaf, clusters.select(is_single).of, clusters.select(is_leaf))
+        )
         split = levels[-1].split
         radii, clusters = np.maximum(like.radii[split], smallest), clusters.select(split)
         # Halved where parts differ most: in place, or, once the cluster is small, in direction.
@@ -161,8 +159,8 @@ class _Layout:
         at, leaf_at = (np.zeros(len(self._mesh.areas), dtype=np.intp) for _ in range(2))
         for level in self._levels:
             self._put_likenesses(level)
-            parts, alone = level.singles(), level.is_single
-            at[parts], leaf_at[parts] = level.at[alone], level.leaf_at[alone]
+            at[level.singles] = level.at[level.is_single]
+            leaf_at[level.singles] = level.leaf_at[level.is_single]
         for batch in halved:
             self._put_halved(batch, at[batch.parts], leaf_at[batch.parts])
         return Forest(
@@ -196,7 +194,7 @@ class _Layout:
         self._skip[at] = at + level.n[of]
         self._leaves[at] = level.leaf_at[of, None] + np.stack([np.zeros_like(at), level.n_leaves[of]], axis=1)
         if level.is_leaf.any():
-            leaves, at = level.clusters.select(level.is_leaf), level.leaf_at[level.is_leaf]
+            leaves, at = level.leaves, level.leaf_at[level.is_leaf]
             self._leaf_areas[at] = leaves.total(self._mesh.areas[leaves.of])
             self._put_patches(leaves.of, self._mesh.uv[leaves.of], at[leaves.which])
 

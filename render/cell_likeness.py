@@ -40,8 +40,9 @@ class Likenesses:
     def of(mesh: FlatMesh, clusters: Clusters) -> Likenesses:
         points = mesh.points(clusters.of)
         middles = (clusters.least(points.min(axis=0)) + clusters.most(points.max(axis=0))) / 2
-        away = points - middles[clusters.which]
-        radii = np.sqrt(clusters.most(np.einsum("pki,pki->pk", away, away).max(axis=0)))
+        each = middles[clusters.which]
+        far2 = np.max([np.einsum("ki,ki->k", p - each, p - each) for p in points], axis=0)
+        radii = np.sqrt(clusters.most(far2))
         areas = mesh.areas[clusters.of]
         facing = clusters.total(areas[:, None] * mesh.normals[clusters.of])
         area = clusters.total(areas)
@@ -52,9 +53,9 @@ class Likenesses:
         if like.any():
             normals[like] = facing[like] / np.linalg.norm(facing[like], axis=1, keepdims=True)
             centres = clusters.total(areas[:, None] * mesh.centres(clusters.of)) / area[:, None]
-            away = (points - centres[clusters.which])[:, like[clusters.which]]
-            covers, heights, extents = _cover(clusters.select(like), away, normals[like])
-            corners[like] = centres[like, None] + covers
+            corners[like], heights, extents = _cover(
+                clusters.select(like), points[:, like[clusters.which]], centres[like], normals[like]
+            )
             filled = np.minimum(1.0, (coherence * area)[like] / np.maximum(extents.prod(axis=1), 1e-30))
             # What is nearest in a direction counts once, so where cells overlap nothing is added; but through a gap
             # one would look into the dark inside.
@@ -63,11 +64,12 @@ class Likenesses:
         return Likenesses(corners, normals, radii, errors)
 
 
-def _cover(clusters: Clusters, away: Array, normals: Array) -> tuple[Array, Array, Array]:
+def _cover(clusters: Clusters, points: Array, centres: Array, normals: Array) -> tuple[Array, Array, Array]:
     """Return (c, 3, 3) the smallest parallelograms, (c,) how far points are off their planes, and (c, 2) their sides.
 
     Args:
-        away: (4, k, 3) corners of the parts, from where each cluster's plane passes.
+        points: (4, k, 3) corners of the parts.
+        centres: (c, 3) where the planes pass.
     """
     side = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
     side /= np.linalg.norm(side, axis=1, keepdims=True)
@@ -75,7 +77,7 @@ def _cover(clusters: Clusters, away: Array, normals: Array) -> tuple[Array, Arra
 
     judges = clusters.thinned(JUDGES)
     few = Clusters(clusters.of[judges], np.bincount(clusters.which[judges], minlength=len(clusters.sizes)))
-    flat_x, flat_y = (_along(away[:, judges], axis, few) for axis in (side, up))
+    flat_x, flat_y = (_along(points[:, judges], centres, axis, few) for axis in (side, up))
     turns = np.pi / 2 * np.arange(TURNS) / TURNS
     boxes = []
     for c, s in zip(np.cos(turns), np.sin(turns), strict=True):
@@ -84,18 +86,20 @@ def _cover(clusters: Clusters, away: Array, normals: Array) -> tuple[Array, Arra
     turn = turns[np.argmin(boxes, axis=0)][:, None]
 
     x, y = np.cos(turn) * side + np.sin(turn) * up, np.cos(turn) * up - np.sin(turn) * side
-    (x_low, x_high), (y_low, y_high) = (_span(clusters, _along(away, axis, clusters)) for axis in (x, y))
-    corner = x_low[:, None] * x + y_low[:, None] * y
+    (x_low, x_high), (y_low, y_high) = (
+        _span(clusters, _along(points, centres, axis, clusters)) for axis in (x, y)
+    )
+    corner = centres + x_low[:, None] * x + y_low[:, None] * y
     extents = np.stack([x_high - x_low, y_high - y_low], axis=1)
     corners = [corner, corner + extents[:, :1] * x, corner + extents[:, 1:] * y]
-    heights = clusters.most(np.abs(_along(away, normals, clusters)).max(axis=0))
+    heights = clusters.most(np.abs(_along(points, centres, normals, clusters)).max(axis=0))
     return np.stack(corners, axis=1), heights, extents
 
 
-def _along(away: Array, axes: Array, clusters: Clusters) -> Array:
-    """Return (4, k) the coordinates of (4, k, 3) points along each cluster's axis."""
-    coordinates: Array = np.einsum("pki,ki->pk", away, axes[clusters.which])
-    return coordinates
+def _along(points: Array, centres: Array, axes: Array, clusters: Clusters) -> Array:
+    """Return (4, k) the coordinates of (4, k, 3) points along each cluster's axis, from its centre."""
+    begin, axis = centres[clusters.which], axes[clusters.which]
+    return np.stack([np.einsum("ki,ki->k", p - begin, axis) for p in points])
 
 
 def _span(clusters: Clusters, values: Array) -> Array:

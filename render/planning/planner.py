@@ -44,7 +44,7 @@ BUDGET = 0.9
 # Of the bound: what leaving out states and surfaces may take; each is tried.
 TOLERANCES = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6)
 
-# From so many s on, a picture is worth a closer look at how noisy its paths are: that takes a tenth of it.
+# From so many s on, a picture of paths is worth a closer look at how noisy they are: that takes a tenth of it.
 CLOSER_S = 20.0
 
 
@@ -99,9 +99,13 @@ class Planner:
     def choose(self) -> tuple[Choices, bool]:
         """Return the cheapest choices that are predicted to hold the bound; or those that err least, and False."""
         choices = self._cheapest()
-        if (choices is None or self.predict_s(choices) > CLOSER_S) and self.look_closer():
+        if (choices is None or self._is_worth_a_look(choices)) and self.look_closer():
             choices = self._cheapest()
         return (self._closest(), False) if choices is None else (choices, True)
+
+    def _is_worth_a_look(self, choices: Choices) -> bool:
+        traced = choices.gi["method"] == transport_terms.REFERENCE
+        return traced and self.predict_s(choices) > CLOSER_S
 
     def _cheapest(self) -> Choices | None:
         """Return the cheapest choices within the budget."""
