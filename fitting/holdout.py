@@ -23,7 +23,7 @@ class HoldOut:
         n_states: of the fit.
         automatic: whether this number of states would have been chosen.
         worst: largest |predicted - measured| / measured, after `NOISE_ALLOWANCE` σ of noise are taken off.
-        worst_t_s: when, in s since lamp-off.
+        worst_t_s: when, the middle of the exposure in s since lamp-off.
     """
 
     n_states: int
@@ -47,4 +47,6 @@ def _misprediction(fit: DecayFit, unseen: DecayData, *, automatic: bool) -> Hold
         excess = np.abs(predicted - unseen.signal) - NOISE_ALLOWANCE * unseen.sigma
         relative = np.where(unseen.used, np.clip(excess, 0, None) / np.abs(unseen.signal), 0.0)
     frame, _ = np.unravel_index(int(np.argmax(relative)), relative.shape)
-    return HoldOut(fit.n_states, automatic, float(relative.max()), float(unseen.t_s[frame]))
+    return HoldOut(
+        fit.n_states, automatic, float(relative.max()), float((unseen.t_s + unseen.exposure_s / 2)[frame])
+    )

@@ -21,7 +21,7 @@ _FEW_DOF = 10
 # A state less that so often looks as bad by chance is no worse.
 _AS_GOOD = 0.05
 # A law is said to fit better if AICc, and AIC without its correction for few values, are less by this.
-_BETTER = 6.0  # e^3 times as likely
+_BETTER = 6.0  # e³ times as likely
 # σ are called too large if chance would leave so little of them once in so many times.
 _TOO_GOOD = 1e-3
 # What is as usual, and good to know; everything else spoils something.
@@ -231,12 +231,17 @@ def of_run(fit: DecayFit, run: Run, estimated: Noise | None) -> str:
     )
 
 
-def better_laws(fit: DecayFit, laws: Sequence[OtherLaw]) -> list[OtherLaw]:
-    """Return the laws that fit better than the exponentials, the best first; none where AICc tells nothing."""
+def better_laws(fit: DecayFit, laws: Sequence[OtherLaw], *, misses: bool) -> list[OtherLaw]:
+    """Return the laws that fit better than the exponentials, the best first; none where AICc tells nothing.
+
+    Args:
+        misses: whether the exponentials may miss more than noise; else laws count that are as good.
+    """
+    margin = _BETTER if misses else 0.0
     better = [
         law
         for law in laws
-        if np.isfinite(fit.aicc) and law.aicc < fit.aicc - _BETTER and law.aic < fit.aic - _BETTER
+        if np.isfinite(fit.aicc) and law.aicc < fit.aicc - margin and law.aic < fit.aic - margin
     ]
     return sorted(better, key=lambda law: law.aicc)
 
@@ -249,7 +254,7 @@ def of_laws(
     Args:
         laws: that do, the best first.
         exponentials, best: what these and the best law miss most.
-        misses: whether the exponentials miss more than noise, as far as anything tells.
+        misses: whether the exponentials may miss more than noise.
     """
     if not laws:
         return []

@@ -16,7 +16,7 @@ from phoslab.fitting.decay import MOST_STATES, DecayFit, fit_decay
 from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.extrapolation import Beyond
 from phoslab.fitting.intervals import bootstrap_intervals, rate_intervals
-from phoslab.fitting.missed import Miss, Noise, missed, valid_times, worst_miss
+from phoslab.fitting.missed import Miss, Noise, Run, missed, valid_times, worst_miss
 from phoslab.fitting.other_laws import OtherLaw, fit_other_laws
 from phoslab.fitting.screening import Screened, clipped_start, screen
 from phoslab.fitting.selection import Selection, select
@@ -48,7 +48,7 @@ class TableFit:
         better_laws: those of them that fit better than the exponentials, the best first.
         valid_s: the times that the data support.
         worst_miss: the well-measured value within these that the fit misses by the largest share; None without any.
-        misses: whether the data are no sum of so few exponentials: then there is no true rate to bracket.
+        missed: runs of values that the fit misses altogether.
         extrapolated: at the times asked for.
         flags: "code: sentence" each.
         lost: channels left out, with the reason.
@@ -65,10 +65,16 @@ class TableFit:
     better_laws: tuple[OtherLaw, ...]
     valid_s: tuple[float, float]
     worst_miss: Miss | None
-    misses: bool
+    missed: tuple[Run, ...]
     extrapolated: tuple[Beyond, ...]
     flags: tuple[str, ...]
     lost: dict[str, str]
+
+    @property
+    def misses(self) -> bool:
+        """Whether the data are no sum of so few exponentials: then there is no true rate to bracket."""
+        # With σ from the scatter about the fit itself χ² tells nothing, and another law has to.
+        return bool(self.fit.misses or self.missed or (self.better_laws and self.sigma != "given"))
 
     @property
     def amplitude_standard_error(self) -> Array:
@@ -233,12 +239,13 @@ def fit_screened(
     flags += table_doubts.of_rates(fit, interval, too_many=spare is not None)
     flags += [table_doubts.of_run(fit, run, estimated) for run in runs]
     other = fit_other_laws(fit.data)
-    better = table_doubts.better_laws(fit, other)
+    may_miss = fit.misses or not screened.sigma_given
+    better = table_doubts.better_laws(fit, other, misses=may_miss)
     flags += table_doubts.of_laws(
         better,
         told,
         worst(better[0].course) if better else None,
-        misses=fit.misses or not screened.sigma_given,
+        misses=may_miss,
     )
     beyonds = tuple(
         _believed(extrapolation.beyond(fit, t), valid if runs else None, interval, data)
@@ -257,8 +264,7 @@ def fit_screened(
         better_laws=tuple(better),
         valid_s=valid,
         worst_miss=told,
-        # With σ from the scatter about the fit itself χ² tells nothing, and another law has to.
-        misses=bool(fit.misses or runs or (better and not screened.sigma_given)),
+        missed=tuple(runs),
         extrapolated=beyonds,
         flags=tuple(flags),
         lost=screened.lost,

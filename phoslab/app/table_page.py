@@ -91,6 +91,10 @@ def _figure(result: TableFit) -> Figure:
         miss, spread = 100 * (seen - predicted[used, c]) / np.abs(seen), 100 * sigma / np.abs(seen)
         lower.errorbar(middle[used], miss, spread, fmt="o", ms=3, lw=0.8, color=colour)
         clear = spread < _NOISY
+        frames = np.flatnonzero(used)
+        for run in (run for run in result.missed if run.channel == c):
+            of = (run.first <= frames) & (frames <= run.last)
+            widest = max(widest, float(np.abs(miss[of]).max()))
         widest = max(widest, float((np.abs(miss) + spread)[clear].max(initial=0.0)))
     shown = data.signal[data.used]
     if (shown > 0).all():
