@@ -71,6 +71,8 @@ def check_plan(
     bound = parse_bound(plan.bound)
     if again.predicted_error > bound.value and planner.look_closer():
         again = decisions.explain(planner, plan.choices)
+    if again.predicted_error > bound.value and planner.try_out(plan.choices):
+        again = decisions.explain(planner, plan.choices)
     wrong, remedies = [], []
     if plan.scene_sha256 and plan.scene_sha256 != again.scene_sha256:
         wrong.append("the scene has changed since it was planned")

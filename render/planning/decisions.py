@@ -212,7 +212,11 @@ def _reason(planner: Planner, choices: Choices) -> str:
     if method == NONE:
         return "reflected glow is not modelled"
     measured = (
-        "its noise was tried here" if method == transport_terms.REFERENCE else "measured on sample scenes"
+        "its noise was tried here"
+        if method == transport_terms.REFERENCE
+        else "tried here, against paths"
+        if planner.was_tried(choices.gi)
+        else "measured on sample scenes"
     )
     other = planner.rival(choices)
     if other is None:

@@ -27,10 +27,11 @@ from phoslab.render.planning import spectrum_terms, state_terms, texel_terms, tr
 from phoslab.render.planning.bounds import Bound
 from phoslab.render.planning.costs import Costs, Work, pictures
 from phoslab.render.planning.pilot import Pilot, look
-from phoslab.render.planning.probe import PATHS, PathNoise, measure_noise
+from phoslab.render.planning.probe import PATHS, SUPERSAMPLING, PathNoise, measure_noise
 from phoslab.render.planning.reduced import whole
 from phoslab.render.planning.sensitivity import Sensitivity
 from phoslab.render.planning.step_terms import Stepped, judged, steps
+from phoslab.render.planning.trial import trial_error, trial_size
 from phoslab.render.scene import Scene
 
 Array = NDArray[np.float64]
@@ -46,6 +47,11 @@ TOLERANCES = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6)
 
 # From so many s on, a picture of paths is worth a closer look at how noisy they are: that takes a tenth of it.
 CLOSER_S = 20.0
+
+# Of a picture of paths: what may be spent on trying what is quicker; and how many numbers of paths that must afford.
+TRIAL, LEAST_TRIAL = 0.03, 5
+
+_Key = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
@@ -90,7 +96,8 @@ class Planner:
         self._sensitivity = Sensitivity(self.pilot, request.bound)
         self._noise: PathNoise | None = None
         self._closest_look = False
-        self._ways: dict[tuple[tuple[str, Any], ...], transport_terms.Way] = {}
+        self._ways: dict[_Key, transport_terms.Way] = {}
+        self._tried: dict[_Key, float] = {}
         self._known: dict[int, dict[int, tuple[state_terms.Groups, Array]]] = {}
         self._lost: dict[int, float] = {}
         self._fewer: dict[tuple[int, int], float] = {}
@@ -101,19 +108,62 @@ class Planner:
         choices = self._cheapest()
         if (choices is None or self._is_worth_a_look(choices)) and self.look_closer():
             choices = self._cheapest()
+        if choices is not None and self.try_quicker(choices):
+            choices = self._cheapest()
         return (self._closest(), False) if choices is None else (choices, True)
 
     def _is_worth_a_look(self, choices: Choices) -> bool:
         traced = choices.gi["method"] == transport_terms.REFERENCE
         return traced and self.predict_s(choices) > CLOSER_S
 
-    def _cheapest(self) -> Choices | None:
-        """Return the cheapest choices within the budget."""
+    def try_quicker(self, choices: Choices) -> bool:
+        """Try here what would be quicker than paths, if they take long; return whether there is more to know."""
+        quick = self.rival(choices) if choices.gi["method"] == transport_terms.REFERENCE else None
+        return quick is not None and self._try(quick, choices)
+
+    def try_out(self, choices: Choices) -> bool:
+        """Try a way here that stands for paths which would take long; return whether there is more to know."""
+        if choices.gi["method"] in (transport_terms.REFERENCE, NONE):
+            return False
+        instead = self._cheapest(transport_terms.REFERENCE)
+        return instead is not None and self._try(choices, instead)
+
+    def _try(self, quick: Choices, instead: Choices) -> bool:
+        key, allowed_s = _key(quick.gi), TRIAL * self.predict_s(instead)
+        small = replace(
+            self._work(quick),
+            size=trial_size(self.request.size),
+            supersampling=SUPERSAMPLING,
+            times=1,
+            drawn=1,
+        )
+        traced = [
+            replace(quick, gi={"method": transport_terms.REFERENCE, "samples": n, "full": True})
+            for n in transport_terms.SAMPLES
+        ]
+        affordable = [t for t in traced if 2 * self.costs.predict_s(t, small) <= allowed_s]
+        if key in self._tried or len(affordable) < LEAST_TRIAL:
+            return False
+        self._tried[key] = trial_error(
+            self.pilot, self.request.bound, self.request.size, quick, affordable[-1], self._device
+        )
+        self._ways.clear()
+        return True
+
+    def was_tried(self, gi: Mapping[str, Any]) -> bool:
+        """Whether what it errs by was found in this scene."""
+        return _key(gi) in self._tried
+
+    def _cheapest(self, method: str | None = None) -> Choices | None:
+        """Return the cheapest choices within the budget, of those that transport glow by a method if one is named."""
         budget = BUDGET * self.request.bound.value
         tried = [
             (self.predict_s(choices), k, error, choices)
             for k, (error, choices) in enumerate(
-                (error, replace(rest, gi=gi)) for rest, error in self._rest for gi in self._settings
+                (error, replace(rest, gi=gi))
+                for rest, error in self._rest
+                for gi in self._settings
+                if method in (None, gi["method"])
             )
         ]
         for _, _, error, choices in sorted(tried, key=lambda t: t[:2]):
@@ -132,10 +182,13 @@ class Planner:
 
     def way(self, gi: Mapping[str, Any]) -> transport_terms.Way:
         """Return what parameters of `--gi` err by here. How noisy paths are is looked at when it is first asked for."""
-        key = tuple(sorted(gi.items()))
+        key = _key(gi)
         if key not in self._ways:
             noise = self.path_noise if gi["method"] == transport_terms.REFERENCE else PathNoise(0.0)
-            self._ways[key] = transport_terms.judge(self.pilot, self.request.bound, self.costs, noise, gi)
+            way = transport_terms.judge(self.pilot, self.request.bound, self.costs, noise, gi)
+            if key in self._tried:
+                way = replace(way, inexact=max(self._tried[key] - way.left_out, 0.0))
+            self._ways[key] = way
         return self._ways[key]
 
     @cached_property
@@ -369,3 +422,7 @@ def _some(moments: Sequence[float]) -> list[float]:
     distinct = sorted(set(moments))
     at = np.unique(np.linspace(0, len(distinct) - 1, MOMENTS).astype(int))
     return [distinct[k] for k in at]
+
+
+def _key(gi: Mapping[str, Any]) -> _Key:
+    return tuple(sorted(gi.items()))
