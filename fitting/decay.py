@@ -121,7 +121,7 @@ class DecayFit:
         clear = (off > 3 * data.total_sigma) & (data.signal != 0)
         share = np.divide(off, np.abs(data.signal), out=np.zeros_like(off), where=clear)
         frame = int(np.argmax(share.max(axis=1)))
-        return float((data.t_s + data.exposure_s / 2)[frame]), float(share[frame].max())
+        return float(data.middle_s[frame]), float(share[frame].max())
 
     @property
     def free_standard_error(self) -> Array:

@@ -82,6 +82,23 @@ class DecayData:
         return int(np.count_nonzero(self.used))
 
     @property
+    def begin_s(self) -> float:
+        """When the first exposure began."""
+        return float(self.t_s.min())
+
+    @property
+    def middle_s(self) -> Array:
+        """(n,) the middles of the exposures."""
+        middle: Array = self.t_s + self.exposure_s / 2
+        return middle
+
+    @property
+    def shortest_step_s(self) -> float:
+        """The shortest time between two exposures; all of it where there is one only."""
+        steps = np.diff(np.sort(self.t_s))
+        return float(steps[steps > 0].min()) if (steps > 0).any() else self.end_s
+
+    @property
     def end_s(self) -> float:
         """When the last exposure ended."""
         return float((self.t_s + self.exposure_s).max())

@@ -19,7 +19,7 @@ _KEPT_STARTS = 4
 
 def rate_limits(data: DecayData) -> tuple[float, float]:
     """Return the rates in 1/s between which a search begins: a tenth of 1 / duration, and 3 / first step."""
-    duration = data.end_s - min(0.0, float(data.t_s.min()))
+    duration = data.end_s - min(0.0, data.begin_s)
     t = np.sort(data.t_s)
     steps = np.diff(t)
     # Late values that almost coincide (of two runs in one table) tell nothing of fast rates.

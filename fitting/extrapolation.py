@@ -83,7 +83,7 @@ def lines(beyonds: Sequence[Beyond], channels: Sequence[str]) -> list[str]:
 def warnings(beyonds: Sequence[Beyond], data: DecayData) -> list[str]:
     """Return sentences on those outside of the data, without a value, and with a constant."""
     said = []
-    span = f"reach from {float(data.t_s.min()):.4g} s to {data.end_s:.4g} s"
+    span = f"reach from {data.begin_s:.4g} s to {data.end_s:.4g} s"
     for where in ("before the data", "beyond the data"):
         if far := [b.t_s for b in beyonds if b.outside == where]:
             lie = "lies" if len(far) == 1 else "lie"
@@ -110,9 +110,7 @@ def beyond(fit: DecayFit, t_s: float) -> Beyond:
     """Return the glow of each channel at `t_s`, and the band that the data allow whatever the number of states."""
     data = fit.data
     end = max(t_s, data.end_s)
-    steps = np.diff(np.sort(data.t_s))
-    shortest = float(steps[steps > 0].min()) if (steps > 0).any() else data.end_s
-    low, high = 1e-3 / end, 10 / shortest
+    low, high = 1e-3 / end, 10 / data.shortest_step_s
     rates = np.geomspace(low, high, int(_PER_DECADE * np.log10(high / low)) + 2)
     rates = np.concatenate([[0.0], np.unique(np.concatenate([rates, fit.kr_per_s]))])
     g, _ = exposed_decay(rates, data.t_s, data.exposure_s)
@@ -133,7 +131,7 @@ def beyond(fit: DecayFit, t_s: float) -> Beyond:
     # A fit that misses the data says what no course through them does.
     held = (value >= ends[0] * (1 - _EDGE)) & (value <= ends[1] * (1 + _EDGE))
     constant = bool(fit.has_offset and (fit.offset > 0).any())
-    outside = "before the data" if t_s < data.t_s.min() else "beyond the data" if t_s > data.end_s else ""
+    outside = "before the data" if t_s < data.begin_s else "beyond the data" if t_s > data.end_s else ""
     clear = (not outside) | (value >= fit.offset)
     why = "it leaves the band that the data allow"
     if held.all():

@@ -47,6 +47,4 @@ def _misprediction(fit: DecayFit, unseen: DecayData, *, automatic: bool) -> Hold
         excess = np.abs(predicted - unseen.signal) - NOISE_ALLOWANCE * unseen.sigma
         relative = np.where(unseen.used, np.clip(excess, 0, None) / np.abs(unseen.signal), 0.0)
     frame, _ = np.unravel_index(int(np.argmax(relative)), relative.shape)
-    return HoldOut(
-        fit.n_states, automatic, float(relative.max()), float((unseen.t_s + unseen.exposure_s / 2)[frame])
-    )
+    return HoldOut(fit.n_states, automatic, float(relative.max()), float(unseen.middle_s[frame]))

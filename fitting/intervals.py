@@ -55,13 +55,10 @@ class _Profile:
     def __init__(self, fit: DecayFit, stated: Problem, index: int, height: float) -> None:
         self.fit, self.stated, self.index, self.height = fit, stated, index, height
         data = fit.data
-        steps = np.diff(np.sort(data.t_s))
-        shortest = float(steps[steps > 0].min()) if (steps > 0).any() else data.end_s
         self.slowest = float(np.log(decay._SLOWEST / data.end_s))
         # What fades by as much before the first value as before any other is not told from what is faster still.
-        self.fastest = float(
-            np.log(min(decay._FASTEST / shortest, _GONE / max(float(data.t_s.min()), 1e-300)))
-        )
+        gone = _GONE / max(data.begin_s, 1e-300)
+        self.fastest = float(np.log(min(decay._FASTEST / data.shortest_step_s, gone)))
         self.warm = fit.theta
 
     def rise(self, value: float) -> float:

@@ -52,7 +52,7 @@ class Miss:
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class KnownNoise:
     """What tells which values are well measured.
 
     Args:
@@ -64,7 +64,7 @@ class Noise:
     given: bool
 
 
-def worst_miss(fit: DecayFit, course: Array, valid_s: tuple[float, float], noise: Noise) -> Miss | None:
+def worst_miss(fit: DecayFit, course: Array, valid_s: tuple[float, float], noise: KnownNoise) -> Miss | None:
     """Return the well-measured value within `valid_s` that is missed by the largest share of it, if there is any.
 
     Args:
@@ -80,7 +80,7 @@ def worst_miss(fit: DecayFit, course: Array, valid_s: tuple[float, float], noise
     return worst
 
 
-def _well_measured(fit: DecayFit, channel: int, noise: Noise) -> NDArray[np.bool_]:
+def _well_measured(fit: DecayFit, channel: int, noise: KnownNoise) -> NDArray[np.bool_]:
     """Return which used values of a channel stand out of the noise."""
     data = fit.data
     frames = np.flatnonzero(data.used[:, channel])
@@ -92,7 +92,7 @@ def _well_measured(fit: DecayFit, channel: int, noise: Noise) -> NDArray[np.bool
     return np.asarray((clear & (scatter < _SMOOTH)) | (scatter < _VERY_SMOOTH))
 
 
-def missed(fit: DecayFit, noise: Noise) -> list[Run]:
+def missed(fit: DecayFit, noise: KnownNoise) -> list[Run]:
     """Return the runs of values that the fit misses by more than half of themselves though they are well measured.
 
     A single value inside may be an outlier; two in a row, the first or the last are the model's fault.
@@ -122,7 +122,7 @@ def valid_times(fit: DecayFit, runs: list[Run]) -> tuple[float, float]:
     """Return from when to when the fit is valid, in s: the stretch without a run that holds most values."""
     data = fit.data
     if not runs:
-        return float(data.t_s.min()), data.end_s
+        return data.begin_s, data.end_s
     bad = np.unique(np.concatenate([np.arange(run.first, run.last + 1) for run in runs]))
     edges = np.concatenate([[-1], bad, [data.t_s.size]])
     longest = int(np.argmax(np.diff(edges)))

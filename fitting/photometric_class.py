@@ -65,6 +65,9 @@ STANDARDS = (
     ),
 )  # fmt: skip
 
+MINUTES = tuple(sorted({minute for standard in STANDARDS for minute in standard.minutes}))
+"""At which any of them reads."""
+
 DIN = Standard("DIN 67510 style", *_XENON, (10, 60), {}, "if the lamp was a xenon lamp")
 """Has a label instead of classes."""
 
@@ -168,9 +171,12 @@ def measured(data: DecayData, channel: int, scale: float, *, sigma_given: bool) 
     def read(at: Array, of: Array) -> Array:
         return np.asarray(np.interp(np.log(at + origin), np.log(t + origin), of))
 
-    share = scale * data.sigma[used, channel] / values if sigma_given else np.zeros_like(values)
+    share = scale * data.sigma[used, channel] / values
     return Glow(
-        lambda at: np.exp(read(at, np.log(values))), float(t[0]), float(t[-1]), lambda at: read(at, share)
+        lambda at: np.exp(read(at, np.log(values))),
+        float(t[0]),
+        float(t[-1]),
+        (lambda at: read(at, share)) if sigma_given else None,
     )
 
 

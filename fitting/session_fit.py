@@ -150,7 +150,7 @@ def fit_session(
         standard_error={k: v.tolist() for k, v in known.items() if v is not None and np.isfinite(v).all()}
         or None,
         covariance=_covariance(fit, reduced.data.channels),
-        valid_s=(max(0.0, float(reduced.data.t_s.min())), reduced.data.end_s),
+        valid_s=(max(0.0, reduced.data.begin_s), reduced.data.end_s),
         provenance={
             "sessions": [
                 {"name": s.path.resolve().name, "plan": s.header.plan, "sha256": s.digest} for s in job.used

@@ -48,8 +48,8 @@ def of_noise(found: Noise) -> str:
         else "χ² / dof is 1 by construction and does not tell whether the fit is good."
     )
     others = ""
-    if found.rivals and not found.own:
-        named = " or ".join(WORDS[law] for law in found.rivals)
+    if found.rivals:
+        named = " or ".join(WORDS[rival.law] for rival in found.rivals)
         others = f" Noise {named} is about as likely: the intervals of the rates hold what comes of it, too."
     return f"sigma-estimated: the table gives no σ; they were {found.said}. {worth}{others}"
 

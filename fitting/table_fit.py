@@ -16,7 +16,7 @@ from phoslab.fitting.decay import MOST_STATES, DecayFit, fit_decay
 from phoslab.fitting.decay_data import DecayData
 from phoslab.fitting.extrapolation import Beyond
 from phoslab.fitting.intervals import bootstrap_intervals, rate_intervals
-from phoslab.fitting.missed import Miss, Noise, Run, missed, valid_times, worst_miss
+from phoslab.fitting.missed import KnownNoise, Miss, Run, missed, valid_times, worst_miss
 from phoslab.fitting.other_laws import OtherLaw, fit_other_laws
 from phoslab.fitting.screening import Screened, clipped_start, screen
 from phoslab.fitting.selection import Selection, select
@@ -75,6 +75,16 @@ class TableFit:
         """Whether the data are no sum of so few exponentials: then there is no true rate to bracket."""
         # With σ from the scatter about the fit itself χ² tells nothing, and another law has to.
         return bool(self.fit.misses or self.missed or (self.better_laws and self.sigma != "given"))
+
+    @property
+    def warnings(self) -> list[str]:
+        """Those of the flags that spoil the fit."""
+        return [flag for flag in self.flags if not table_doubts.usual(flag)]
+
+    @property
+    def notes(self) -> list[str]:
+        """Those that are as usual, and good to know."""
+        return [flag for flag in self.flags if table_doubts.usual(flag)]
 
     @property
     def amplitude_standard_error(self) -> Array:
@@ -141,7 +151,7 @@ class TableFit:
             "extrapolated": [b.to_dict() for b in self.extrapolated],
             "lost": self.lost,
             "flags": list(self.flags),
-            "warnings": [flag for flag in self.flags if not table_doubts.usual(flag)],
+            "warnings": self.warnings,
         }
 
 
@@ -216,7 +226,7 @@ def fit_screened(
     chosen = selection.chosen.fit
     fit = _final(data, chosen, chosen.n_states, known)
     told_apart = screened.sigma_given or _carries(data, 1, spare=_SPARE)
-    measured = Noise(data.sigma if told_apart else np.zeros_like(data.sigma), screened.sigma_given)
+    measured = KnownNoise(data.sigma if told_apart else np.zeros_like(data.sigma), screened.sigma_given)
     runs = missed(fit, measured)
     valid = valid_times(fit, runs)
 
@@ -230,11 +240,10 @@ def fit_screened(
     spare = None if states == "auto" else table_doubts.too_many_states(fit, offsets, **tested)
     flags += [spare] if spare else []
     interval = rate_intervals(fit, sigma_known=known)
-    for law in () if estimated is None or estimated.own else estimated.rivals:
-        weighed = estimate_noise(data, pilot_states, law).data
-        choice = select(weighed, states=numbers, offsets=offsets, **tested).chosen.fit
-        flags += table_doubts.of_other_noise(fit, law, choice)
-        again = _final(weighed, fit, fit.n_states, known)
+    for rival in () if estimated is None else estimated.rivals:
+        choice = select(rival.data, states=numbers, offsets=offsets, **tested).chosen.fit
+        flags += table_doubts.of_other_noise(fit, rival.law, choice)
+        again = _final(rival.data, fit, fit.n_states, known)
         interval = _hull(interval, rate_intervals(again, sigma_known=known))
     flags += table_doubts.of_rates(fit, interval, too_many=spare is not None)
     flags += [table_doubts.of_run(fit, run, estimated) for run in runs]
@@ -327,12 +336,11 @@ def _believed(b: Beyond, valid_s: tuple[float, float] | None, interval: Array, d
         valid_s: where the fit misses nothing by much, if that is not everywhere.
         interval: (n_c, 2) of the rates.
     """
-    first = float(data.t_s.min())
     if valid_s is not None and not valid_s[0] <= b.t_s <= valid_s[1]:
         return b.without_value(f"the fit is valid from {valid_s[0]:.4g} s to {valid_s[1]:.4g} s only")
-    if b.t_s < first and not np.isfinite(interval[:, 1]).all():
+    if b.t_s < data.begin_s and not np.isfinite(interval[:, 1]).all():
         # What faded before the first value is as large as one likes before it.
-        return b.without_value(f"it counts on light that may have been over at {first:.4g} s")
+        return b.without_value(f"it counts on light that may have been over at {data.begin_s:.4g} s")
     return b
 
 

@@ -44,14 +44,14 @@ class Noise:
         law: "constant", "photon" or "relative".
         said: how σ was found, in words.
         own: whether σ is from another law than the exponentials: then χ² tells how well these do.
-        rivals: laws of noise that are not much less likely.
+        rivals: what other laws say that are not much less likely; none if it is `own`.
     """
 
     data: DecayData
     law: str
     said: str
     own: bool
-    rivals: tuple[str, ...] = ()
+    rivals: tuple[Noise, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,9 +93,19 @@ def estimate_noise(data: DecayData, n_states: int, law: str = "auto", *, skip: i
     name = max(found_by, key=lambda law: found_by[law][0])
     likeliest, course = found_by[name]
     worth = max(rest.n_values - course.n_parameters * rest.signal.shape[1], 1.0) / rest.n_values
-    rivals = tuple(
-        law for law, (x, _) in found_by.items() if law != name and worth * (likeliest - x) < _UNLIKELY
+    found = _noise_about(data, rest, n_states, name, course)
+    if found.own:
+        return found
+    rivals = (
+        _noise_about(data, rest, n_states, other, about)
+        for other, (x, about) in found_by.items()
+        if other != name and worth * (likeliest - x) < _UNLIKELY
     )
+    return replace(found, rivals=tuple(rivals))
+
+
+def _noise_about(data: DecayData, rest: DecayData, n_states: int, name: str, course: _Course) -> Noise:
+    """Return the noise of a law, from the scatter of `rest` of the data about a course."""
     factor = np.sqrt(_scale2(rest, course, course.n_parameters))
     found = noise.unscaled(noise.LAWS[name], data.signal.shape[1]).scaled(factor)
     said = f"estimated from the scatter about {course.about}, {WORDS[name]}"
@@ -103,11 +113,9 @@ def estimate_noise(data: DecayData, n_states: int, law: str = "auto", *, skip: i
         first = np.where(data.used, found.sigma(np.maximum(data.signal, 0.0)), np.inf)
         fit = fit_decay(replace(data, sigma=first, law=found), n_states, rank_one=False, polish=False)
         law_kept = None if name == "constant" else found
-        return Noise(replace(fit.data, law=law_kept, expected=None), name, said, own=False, rivals=rivals)
+        return Noise(replace(fit.data, law=law_kept, expected=None), name, said, own=False)
     (whole,) = [c for c in _courses(data, name, n_states) if c.about == course.about]
-    return Noise(
-        replace(data, sigma=whole.unit * factor, law=None, expected=None), name, said, own=True, rivals=rivals
-    )
+    return Noise(replace(data, sigma=whole.unit * factor, law=None, expected=None), name, said, own=True)
 
 
 def _courses(data: DecayData, name: str, n_states: int) -> list[_Course]:

@@ -58,7 +58,7 @@ def report(result: TableFit, name: str) -> str:
                 "  (σ were scaled to Becquerel's law, so that its χ² equals its dof by construction)"
             )
     lines += extrapolation.lines(result.extrapolated, data.channels)
-    for title, flags in (("warnings", warnings(result)), ("as usual, and good to know", notes(result))):
+    for title, flags in (("warnings", result.warnings), ("as usual, and good to know", result.notes)):
         if flags:
             lines.append(f"[[{title}]]")
             lines += [f"  {f}" for f in flags]
@@ -72,16 +72,6 @@ def misfit(result: TableFit) -> str:
         return f"{fit.chi2:.4g} / {fit.dof}: nothing is left to judge by"
     said = f"{fit.chi2:.4g} / {fit.dof} = {fit.chi2 / fit.dof:.3g}"
     return f"{said} by construction: σ were scaled to what this fit misses" if result.scaled else said
-
-
-def warnings(result: TableFit) -> list[str]:
-    """Return what spoils the fit."""
-    return [flag for flag in result.flags if not table_doubts.usual(flag)]
-
-
-def notes(result: TableFit) -> list[str]:
-    """Return what is as usual, and good to know."""
-    return [flag for flag in result.flags if table_doubts.usual(flag)]
 
 
 def valid(result: TableFit) -> str:
@@ -115,7 +105,7 @@ def _rival(result: TableFit) -> str:
 
 def extrapolated_back(result: TableFit) -> str:
     """Return from where amplitudes at t = 0 are extrapolated, if they are."""
-    first = float(result.fit.data.t_s.min())
+    first = result.fit.data.begin_s
     return f", extrapolated from the first value, at {first:.4g} s" if first > 0 else ""
 
 
@@ -143,7 +133,7 @@ def _open(result: TableFit, i: int) -> bool:
 
 def _gone(result: TableFit, i: int) -> bool:
     """Whether a state may have faded before the first value, so that it may have had any amplitude."""
-    return bool(result.fit.data.t_s.min() > 0 and np.isinf(result.interval95[i, 1]))
+    return bool(result.fit.data.begin_s > 0 and np.isinf(result.interval95[i, 1]))
 
 
 def interval(result: TableFit, i: int) -> str:

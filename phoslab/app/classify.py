@@ -9,8 +9,6 @@ HELP = "luminance decay against the classes of safety signs"
 EXAMPLE = "phoslab classify decay.csv --unit mcd/m2 --lux 1000 --minutes 5"
 
 _MCD = {"mcd/m2": 1.0, "cd/m2": 1000.0}
-# At which shares of the start are told: those of all standards.
-_MINUTES = (2.0, 10.0, 20.0, 30.0, 60.0)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -106,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         note = f"measured values of {data.channels[channel]}, straight lines in log L over log t between them"
     excitation = pc.Excitation(args.lux, None if args.minutes is None else 60 * args.minutes)
     start = float(glow.luminance_mcd(np.array([glow.first_s]))[0])
-    ratios = {f"{m:g} min": v / start for m, v in glow.at(_MINUTES).items()}
+    ratios = {f"{m:g} min": v / start for m, v in glow.at(pc.MINUTES).items()}
     verdicts = pc.classify(glow, excitation) if absolute else []
     # The label says nothing of the light before it: of another charging it would pass for the standard's.
     unlike_din = pc.differs(pc.DIN, excitation)
@@ -133,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
     if not absolute:
         shares = (
             ", ".join(f"{share:.2%} at {when}" for when, share in ratios.items())
-            or "none at 2, 10, 20, 30 or 60 min"
+            or f"none at {', '.join(f'{m:g}' for m in pc.MINUTES[:-1])} or {pc.MINUTES[-1]:g} min"
         )
         print(
             "Calibrated only relatively: no class can be given, only shares of the glow at "

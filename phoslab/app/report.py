@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phoslab.app.figures import CHANNEL_COLOURS, svg
+from phoslab.app.figures import CHANNEL_COLOURS, missed_percent, svg
 from phoslab.app.pages import render
 from phoslab.files import write_text
 
@@ -122,7 +122,7 @@ def _decay_figure(result: FitResult) -> Figure:
     fit, data = result.fit, result.reduced.data
     figure = Figure(figsize=(8, 5.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1])
-    middle = data.t_s + data.exposure_s / 2
+    middle = data.middle_s
     t = np.linspace(0, middle[-1], 400)
     curve = fit.predict(t, np.zeros_like(t))
     predicted = fit.predict(data.t_s, data.exposure_s)
@@ -138,9 +138,7 @@ def _decay_figure(result: FitResult) -> Figure:
             label=channel,
         )
         upper.plot(t, curve[:, c], color=colour, lw=1)
-        seen = np.where(data.signal[used, c] == 0, np.nan, data.signal[used, c])
-        miss = 100 * (seen - predicted[used, c]) / np.abs(seen)
-        spread = 100 * data.total_sigma[used, c] / np.abs(seen)
+        miss, spread = missed_percent(data.signal[used, c], predicted[used, c], data.total_sigma[used, c])
         lower.errorbar(middle[used], miss, spread, fmt="o", ms=3, lw=0.8, color=colour)
     upper.set_yscale("log")
     upper.set_ylabel("signal [DN/s at ISO 100, f/1]")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phoslab.app.figures import CHANNEL_COLOURS, svg
+from phoslab.app.figures import CHANNEL_COLOURS, missed_percent, svg
 from phoslab.app.pages import render
 from phoslab.files import write_text
 
@@ -54,8 +54,8 @@ def write_page(path: str | os.PathLike[str], result: TableFit, name: str) -> Non
         choice=text.choice(result),
         back=text.extrapolated_back(result),
         law_parameters=text.law_parameters,
-        warnings=[_sentence(flag, fit.data.channels) for flag in text.warnings(result)],
-        notes=[_sentence(flag, fit.data.channels) for flag in text.notes(result)],
+        warnings=[_sentence(flag, fit.data.channels) for flag in result.warnings],
+        notes=[_sentence(flag, fit.data.channels) for flag in result.notes],
     )
     write_text(path, page)
 
@@ -73,9 +73,9 @@ def _figure(result: TableFit) -> Figure:
     fit, data = result.fit, result.fit.data
     figure = Figure(figsize=(8, 5.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1])
-    middle = data.t_s + data.exposure_s / 2
+    middle = data.middle_s
     # Times that were spaced evenly in their logarithm are drawn so.
-    first = float(data.t_s.min())
+    first = data.begin_s
     by_decades = first > 0 and np.median(middle) < middle[-1] / _LOPSIDED
     t = np.geomspace(first, middle[-1], 500) if by_decades else np.linspace(first, middle[-1], 500)
     curve, predicted = fit.predict(t, np.zeros_like(t)), fit.predict(data.t_s, data.exposure_s)
@@ -87,8 +87,7 @@ def _figure(result: TableFit) -> Figure:
             middle[used], data.signal[used, c], sigma, fmt="o", ms=3, lw=0.8, color=colour, label=channel
         )
         upper.plot(t, curve[:, c], color=colour, lw=1)
-        seen = np.where(data.signal[used, c] == 0, np.nan, data.signal[used, c])
-        miss, spread = 100 * (seen - predicted[used, c]) / np.abs(seen), 100 * sigma / np.abs(seen)
+        miss, spread = missed_percent(data.signal[used, c], predicted[used, c], sigma)
         lower.errorbar(middle[used], miss, spread, fmt="o", ms=3, lw=0.8, color=colour)
         clear = spread < _NOISY
         frames = np.flatnonzero(used)
