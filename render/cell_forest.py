@@ -76,7 +76,9 @@ def grow(meshes: Mapping[int, FlatMesh], smallest: float) -> Forest:
         cells[batch.parts], leaves[batch.parts] = batch.n, batch.n_leaves
     for level, below in zip(reversed(levels), [None, *reversed(levels[1:])], strict=True):
         level.count(below, cells, leaves)
-    for level, below in zip(levels, [*levels[1:], None], strict=True):
+    # Roots stand one after the other.
+    levels[0].at, levels[0].leaf_at = (np.cumsum(n) - n for n in (levels[0].n, levels[0].n_leaves))
+    for level, below in pairwise(levels):
         level.place(below)
     owners = np.zeros(len(counts) + 1, dtype=np.intp)
     owners[1:][counts > 0] = levels[0].n_leaves
@@ -116,14 +118,11 @@ class _Level:
             self.n[self.split] = 1 + below.n.reshape(-1, 2).sum(axis=1)
             self.n_leaves[self.split] = below.n_leaves.reshape(-1, 2).sum(axis=1)
 
-    def place(self, below: _Level | None) -> None:
-        """Place the level below; roots stand one after the other."""
-        if not hasattr(self, "at"):
-            self.at, self.leaf_at = np.cumsum(self.n) - self.n, np.cumsum(self.n_leaves) - self.n_leaves
-        if below is not None:
-            first, first_leaf = self.at[self.split] + 1, self.leaf_at[self.split]
-            below.at = np.stack([first, first + below.n[::2]], axis=1).ravel()
-            below.leaf_at = np.stack([first_leaf, first_leaf + below.n_leaves[::2]], axis=1).ravel()
+    def place(self, below: _Level) -> None:
+        """Place the level below."""
+        first, first_leaf = self.at[self.split] + 1, self.leaf_at[self.split]
+        below.at = np.stack([first, first + below.n[::2]], axis=1).ravel()
+        below.leaf_at = np.stack([first_leaf, first_leaf + below.n_leaves[::2]], axis=1).ravel()
 
 
 def _levels(mesh: FlatMesh, roots: Clusters, smallest: float) -> list[_Level]:
@@ -178,9 +177,11 @@ class _Layout:
 
     def _owned_patches(self, numbers: Sequence[int], owners: Indices) -> Iterator[tuple[int, Patches]]:
         uv, leaf, density = (np.concatenate(each) for each in zip(*self._patches, strict=True))
-        for number, (first, end) in zip(numbers, pairwise(owners.tolist()), strict=True):
-            of = (first <= leaf) & (leaf < end)
-            if of.any():
+        order = np.argsort(leaf, kind="stable")
+        begins = np.searchsorted(leaf[order], owners).tolist()
+        for number, (begin, end) in zip(numbers, pairwise(begins), strict=True):
+            of = order[begin:end]
+            if of.size:
                 yield number, Patches(uv[of], leaf[of], density[of])
 
     def _put_likenesses(self, level: _Level) -> None:

@@ -12,14 +12,15 @@ from dataclasses import replace
 from os import PathLike
 
 from phoslab.errors import PhoslabError
-from phoslab.model_plan import Choices, ModelPlan
-from phoslab.render import Frames, render
+from phoslab.model_plan import ModelPlan
+from phoslab.render import Frames
 from phoslab.render.device import Device
 from phoslab.render.planning import decisions
 from phoslab.render.planning.bounds import parse_bound
 from phoslab.render.planning.costs import load_costs
+from phoslab.render.planning.drawn import render_choices
 from phoslab.render.planning.planner import Planner, Request
-from phoslab.render.planning.reduced import apply, check_fit, transport_parameters
+from phoslab.render.planning.reduced import check_fit
 from phoslab.render.scene import Scene, load_scene
 from phoslab.render.schedule import check_time
 
@@ -114,29 +115,6 @@ def render_plan(
     }
     said = tuple(replace(f, warnings=(*f.warnings, *warnings)) for f in frames.frames)
     return replace(frames, frames=said, about=about)
-
-
-def render_choices(
-    scene: Scene,
-    choices: Choices,
-    times: Sequence[str | float] | None,
-    size: tuple[int, int] | None,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-    device: Device | None = None,
-) -> Frames:
-    """Render a scene as some choices model it."""
-    return render(
-        apply(scene, choices),
-        times,
-        solver=choices.solver,
-        step_s=choices.step_s,
-        state_format=choices.state_format,
-        transport=transport_parameters(choices),
-        size=size,
-        progress=progress,
-        device=device,
-    )
 
 
 def _planner(

@@ -106,30 +106,28 @@ class Planner:
     def choose(self) -> tuple[Choices, bool]:
         """Return the cheapest choices that are predicted to hold the bound; or those that err least, and False."""
         choices = self._cheapest()
-        if (choices is None or self._is_worth_a_look(choices)) and self.look_closer():
+        long = choices is not None and _traces(choices) and self.predict_s(choices) > CLOSER_S
+        if (choices is None or long) and self.look_closer():
             choices = self._cheapest()
         if choices is not None and self.try_quicker(choices):
             choices = self._cheapest()
         return (self._closest(), False) if choices is None else (choices, True)
 
-    def _is_worth_a_look(self, choices: Choices) -> bool:
-        traced = choices.gi["method"] == transport_terms.REFERENCE
-        return traced and self.predict_s(choices) > CLOSER_S
-
     def try_quicker(self, choices: Choices) -> bool:
         """Try here what would be quicker than paths, if they take long; return whether there is more to know."""
-        quick = self.rival(choices) if choices.gi["method"] == transport_terms.REFERENCE else None
+        quick = self.rival(choices) if _traces(choices) else None
         return quick is not None and self._try(quick, choices)
 
     def try_out(self, choices: Choices) -> bool:
         """Try a way here that stands for paths which would take long; return whether there is more to know."""
-        if choices.gi["method"] in (transport_terms.REFERENCE, NONE):
+        if _traces(choices) or choices.gi["method"] == NONE:
             return False
         instead = self._cheapest(transport_terms.REFERENCE)
         return instead is not None and self._try(choices, instead)
 
     def _try(self, quick: Choices, instead: Choices) -> bool:
-        key, allowed_s = _key(quick.gi), TRIAL * self.predict_s(instead)
+        if self.was_tried(quick.gi):
+            return False
         small = replace(
             self._work(quick),
             size=trial_size(self.request.size),
@@ -141,10 +139,11 @@ class Planner:
             replace(quick, gi={"method": transport_terms.REFERENCE, "samples": n, "full": True})
             for n in transport_terms.SAMPLES
         ]
+        allowed_s = TRIAL * self.predict_s(instead)
         affordable = [t for t in traced if 2 * self.costs.predict_s(t, small) <= allowed_s]
-        if key in self._tried or len(affordable) < LEAST_TRIAL:
+        if len(affordable) < LEAST_TRIAL:
             return False
-        self._tried[key] = trial_error(
+        self._tried[_key(quick.gi)] = trial_error(
             self.pilot, self.request.bound, self.request.size, quick, affordable[-1], self._device
         )
         self._ways.clear()
@@ -422,6 +421,11 @@ def _some(moments: Sequence[float]) -> list[float]:
     distinct = sorted(set(moments))
     at = np.unique(np.linspace(0, len(distinct) - 1, MOMENTS).astype(int))
     return [distinct[k] for k in at]
+
+
+def _traces(choices: Choices) -> bool:
+    """Whether glow is transported by paths."""
+    return bool(choices.gi["method"] == transport_terms.REFERENCE)
 
 
 def _key(gi: Mapping[str, Any]) -> _Key:

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from phoslab.model_plan import Choices
-from phoslab.render import render
 from phoslab.render.device import Device
 from phoslab.render.planning.bounds import Bound
+from phoslab.render.planning.drawn import render_choices
 from phoslab.render.planning.pilot import Pilot
 from phoslab.render.planning.probe import SUPERSAMPLING, most_reflected
-from phoslab.render.planning.reduced import apply, transport_parameters
 
 # Pixels along the longer side.
 SIDE = 96
@@ -43,24 +44,16 @@ def trial_error(
         quick, truth: they differ in how glow is transported.
     """
     at = most_reflected(pilot)
-    scene = apply(pilot.scene, quick)
+    moment, exposure = float(pilot.moments[at]), pilot.exposures[at]
 
-    def picture(choices: Choices, **more: Any) -> Any:
-        frames = render(
-            scene,
-            [float(pilot.moments[at])],
-            solver=choices.solver,
-            step_s=choices.step_s,
-            state_format=choices.state_format,
-            transport=replace(transport_parameters(choices), **more),
-            size=trial_size(size),
-            supersampling=SUPERSAMPLING,
-            device=device,
+    def picture(choices: Choices) -> NDArray[np.floating]:
+        small = trial_size(size)
+        frames = render_choices(
+            pilot.scene, choices, [moment], small, supersampling=SUPERSAMPLING, device=device
         )
         return frames[0].xyz
 
-    one, other = (picture(truth, seed=seed) for seed in (1, 2))
-    exposure = pilot.exposures[at]
+    one, other = (picture(replace(truth, gi={**truth.gi, "seed": seed})) for seed in (1, 2))
     off = bound.error(picture(quick), (one + other) / 2, exposure)
     # The difference of two has sqrt(2) of the noise of one, which is sqrt(2) of that of their mean.
     noise = bound.error(one, other, exposure) / 2

@@ -12,9 +12,10 @@ from planned_truth import Truth
 from phoslab.model_plan import Choices, ModelPlan
 from phoslab.render.device import Device
 from phoslab.render.frames import auto_exposure
-from phoslab.render.planning import decisions, render_choices
+from phoslab.render.planning import decisions
 from phoslab.render.planning.bounds import Bound
 from phoslab.render.planning.costs import load_costs
+from phoslab.render.planning.drawn import render_choices
 from phoslab.render.planning.pilot import look
 from phoslab.render.planning.planner import Planner, Request
 from phoslab.render.planning.spectrum_terms import fewest_bands

@@ -94,17 +94,13 @@ def _line(result: dict[str, Any]) -> str:
     if "refused" in result:
         return f"{result['scene']} | {result['plan']} | refused: {result['refused']}"
 
-    # Noise of paths in the plan and in the truth is independent: their squares add.
-    left = (
-        {"left": max(result["error"] ** 2 - result["truth_noise"] ** 2, 0.0) ** 0.5}
-        if "error" in result
-        else {}
-    )
-
-    def said(field: str) -> str:
-        value = (result | left).get(field)
+    def said(value: float | None) -> str:
         return "-" if value is None else f"{value:.2g}" if value < 100 else f"{value:.0f}"
 
+    error, noise = result.get("error"), result["truth_noise"]
+    # Noise of paths in the plan and in the truth is independent: their squares add.
+    alone = None if error is None else max(error**2 - noise**2, 0.0) ** 0.5
     way = ", ".join(str(v) for k, v in result["gi"].items() if k != "full")
-    fields = ("error", "left", "predicted", "truth_noise", "cpu_s", "predicted_s", "planning_cpu_s")
-    return " | ".join([result["scene"], result["plan"], way, *(said(f) for f in fields)])
+    rest = (result.get(field) for field in ("cpu_s", "predicted_s", "planning_cpu_s"))
+    numbers = (error, alone, result.get("predicted"), noise, *rest)
+    return " | ".join([result["scene"], result["plan"], way, *map(said, numbers)])

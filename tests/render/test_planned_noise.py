@@ -9,7 +9,7 @@ import pytest
 
 from phoslab.render import load_scene
 from phoslab.render.path_tracer import usual_variant
-from phoslab.render.planning import render_choices
+from phoslab.render.planning.drawn import render_choices
 from phoslab.render.planning.pilot import look
 from phoslab.render.planning.probe import PATHS, STRATIFIED, PathNoise, measure_noise
 from phoslab.render.planning.reduced import whole

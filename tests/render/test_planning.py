@@ -11,8 +11,9 @@ import pytest
 
 from phoslab.model_plan import Choices
 from phoslab.render import load_scene
-from phoslab.render.planning import make_plan, render_choices
+from phoslab.render.planning import make_plan
 from phoslab.render.planning.bounds import parse_bound
+from phoslab.render.planning.drawn import render_choices
 
 SIZE = (32, 32)
 FULL = {"method": "reference", "samples": 529, "full": True, "seed": 1}

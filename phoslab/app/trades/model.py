@@ -31,9 +31,9 @@ from phoslab.render.glow_methods import METHODS
 from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.path_tracer import LLVM, SCALAR, UNLIMITED, trace, usual_variant
 from phoslab.render.phosphor_state import Stepping
-from phoslab.render.planning import render_choices
 from phoslab.render.planning.bounds import radiance_error
 from phoslab.render.planning.costs import FEATURES, PATH_FEATURES, Work, features
+from phoslab.render.planning.drawn import render_choices
 from phoslab.render.planning.pilot import Pilot, look
 from phoslab.render.planning.reduced import whole
 from phoslab.render.planning.spectrum_terms import fewest_bands
