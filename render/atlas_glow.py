@@ -43,6 +43,11 @@ class AtlasGlow:
         self.radiance.bind_to_image(0, read=False, write=True)
         self._device.dispatch(self._program, self._atlas.size)
 
+    def clear(self) -> None:
+        """Write that nothing glows."""
+        w, h, layers = self.radiance.size
+        self.radiance.write(bytes(16 * w * h * layers))
+
     def read(self) -> NDArray[np.float32]:
         """Return (height, width, K) radiance; row 0 is v = 0."""
         return read_array(self.radiance, self._n_bands)

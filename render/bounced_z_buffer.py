@@ -51,6 +51,7 @@ class BouncedZBuffer:
     """Keeps the nearest surfel in each of a pixel's directions; the error falls with `directions` until it stalls."""
 
     name: ClassVar[str] = "dss-z"
+    aims: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = (
         "meshes",
         "position_w",

@@ -20,6 +20,9 @@ from phoslab.render.clusters import Clusters
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+# A smallest cell is at most so uneven, over the radius that smallest cells have; what cannot be is this much smaller.
+FLAT, ROUNDEST = 0.05, 4
+
 
 @dataclass(frozen=True, eq=False)
 class Patches:
@@ -130,7 +133,9 @@ def _levels(mesh: FlatMesh, roots: Clusters, smallest: float) -> list[_Level]:
     while len(clusters.sizes):
         like = Likenesses.of(mesh, clusters)
         is_single = clusters.sizes == 1
-        is_leaf = (like.radii <= smallest) & (like.errors < NEVER) & ~is_single
+        # What is round is followed closer: where such things touch, a cell as large as the gap would keep light out.
+        is_flat = (like.heights <= FLAT * smallest) | (like.radii <= smallest / ROUNDEST)
+        is_leaf = (like.radii <= smallest) & (like.errors < NEVER) & is_flat & ~is_single
         levels.append(
             _Level(like, is_single, is_leaf, clusters.select(is_single).of, clusters.select(is_leaf))
         )

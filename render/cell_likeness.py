@@ -28,12 +28,14 @@ class Likenesses:
         corners: (c, 3, 3) a parallelogram's corner and its two neighbours; of a cluster that has none, its middle.
         normals: (c, 3).
         radii: (c,) of all that it stands for.
+        heights: (c,) how far that is off its plane.
         errors: (c,) how far that reaches from it; `NEVER` where there is none.
     """
 
     corners: Array
     normals: Array
     radii: Array
+    heights: Array
     errors: Array
 
     @staticmethod
@@ -49,19 +51,19 @@ class Likenesses:
         coherence = np.linalg.norm(facing, axis=1) / area
         like = coherence >= COHERENT
         corners, normals = np.repeat(middles[:, None], 3, axis=1), np.tile([0.0, 0.0, 1.0], (len(like), 1))
-        errors = np.full(len(like), NEVER)
+        heights, errors = (np.full(len(like), NEVER) for _ in range(2))
         if like.any():
             normals[like] = facing[like] / np.linalg.norm(facing[like], axis=1, keepdims=True)
             centres = clusters.total(areas[:, None] * mesh.centres(clusters.of)) / area[:, None]
-            corners[like], heights, extents = _cover(
+            corners[like], heights[like], extents = _cover(
                 clusters.select(like), points[:, like[clusters.which]], centres[like], normals[like]
             )
             filled = np.minimum(1.0, (coherence * area)[like] / np.maximum(extents.prod(axis=1), 1e-30))
             # What is nearest in a direction counts once, so where cells overlap nothing is added; but through a gap
             # one would look into the dark inside.
             rims = (1.0 - np.sqrt(filled)) * extents.max(axis=1) / 2
-            errors[like] = np.where(filled >= FILLED, heights + rims, NEVER)
-        return Likenesses(corners, normals, radii, errors)
+            errors[like] = np.where(filled >= FILLED, heights[like] + rims, NEVER)
+        return Likenesses(corners, normals, radii, heights, errors)
 
 
 def _cover(clusters: Clusters, points: Array, centres: Array, normals: Array) -> tuple[Array, Array, Array]:

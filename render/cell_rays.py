@@ -19,7 +19,8 @@ from phoslab.render.memory import check_room
 Array = NDArray[np.float64]
 
 
-UNFINISHED = 9  # the binding of the flag; as in shaders/include/cell_walk.glsl
+# The bindings of the flag and of the boxes; as in shaders/include/cell_walk.glsl and cell_boxes.glsl.
+UNFINISHED, BOXES = 9, 3
 
 
 class CellTree:
@@ -31,13 +32,16 @@ class CellTree:
 
     def __init__(self, device: Device, cells: Cells, *, detail: float = 1.0, sends_on: bool = True) -> None:
         self.cells, self._device = cells, device
-        self._walk = device.buffer(cells.walk(detail, sends_on=sends_on))
+        rows, boxes = cells.walk(detail, sends_on=sends_on)
+        self._walk = device.buffer(rows)
+        self._boxes = device.texture((boxes.shape[1], boxes.shape[0]), 4, boxes, dtype="u4")
         self._unfinished = device.buffer(np.zeros(1, dtype=np.uint32))
 
     def bind(self, shader: moderngl.ComputeShader) -> None:
         """Tell a shader that includes `cells.glsl` what it walks."""
         self._walk.bind_to_storage_buffer(0)
         self._unfinished.bind_to_storage_buffer(UNFINISHED)
+        self._boxes.bind_to_image(BOXES, read=True, write=False)
         set_uniforms(shader, cell_count=len(self.cells.skip))
 
     def check(self) -> None:
@@ -55,7 +59,7 @@ class CellTree:
 
     def release(self) -> None:
         """Give its buffers back."""
-        self._device.release(self._walk, self._unfinished)
+        self._device.release(self._walk, self._boxes, self._unfinished)
 
 
 class CellRays:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from phoslab.render.cell_boxes import pack
 from phoslab.render.cell_forest import Forest, grow
 from phoslab.render.cell_meshes import COPLANAR, FlatMesh
 from phoslab.render.gpu_scene import GpuDrawable
@@ -39,8 +40,10 @@ class Cells(Forest):
     centre: Array
     radius: float
 
-    def walk(self, detail: float = 1.0, *, sends_on: bool = True) -> NDArray[np.float32]:
-        """Return (n, 8, 4) what a ray's walk asks, in the order of `struct Cell` in shaders/include/cells.glsl.
+    def walk(
+        self, detail: float = 1.0, *, sends_on: bool = True
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+        """Return what a ray's walk asks: (n, 8, 4) cells as in shaders/include/cells.glsl, and their boxes, packed.
 
         From `apart` on, a distance of its middle, a cell may stand for its parts, and from `aim` on where what it sends
         matters; anywhere where these are negative: what is flat covers and blocks as its parts do.
@@ -48,6 +51,9 @@ class Cells(Forest):
         Args:
             detail: the radius of a cell over its distance, where it sends, and three times its error over its distance.
             sends_on: whether all cells send light, not those alone that glow.
+
+        Raises:
+            PhoslabError: there are too many cells.
         """
         low, high = self.boxes()
         radius, glows = np.linalg.norm(high - low, axis=1) / 2, self.glows()
@@ -57,14 +63,15 @@ class Cells(Forest):
             np.minimum(least + size / detail, FAR) for size in (radius * (glows | sends_on), radius)
         )
         rows = np.zeros((len(self.skip), 8, 4), dtype=np.float32)
-        rows[:, 0, :3], rows[:, 0, 3] = low - COPLANAR, np.where(glows, -self.skip, self.skip)
-        rows[:, 1, :3], rows[:, 1, 3] = high + COPLANAR, np.where(self.is_halved | is_smallest, -1.0, apart)
+        low, high = low - COPLANAR, high + COPLANAR
+        rows[:, 0, :3], rows[:, 0, 3] = low, np.where(glows, -self.skip, self.skip)
+        rows[:, 1, :3] = high
         rows[:, 2, :3], rows[:, 2, 3] = (low + high) / 2, np.where(is_smallest, -1.0, aim)
         rows[:, 3:6] = self._planes()
         rows[self.is_halved, 6] = self._halves()
         rows[:, 7, 0], rows[:, 7, 1] = np.minimum(self.errors, 1.0), np.where(self.is_triangle, 1.0, 2.0)
         rows[:, 7, 2] = self.is_halved
-        return rows
+        return rows, pack(low, high, self.skip, np.where(self.is_halved | is_smallest, -1.0, apart))
 
     def _planes(self) -> Array:
         """Return (n, 3, 4) planes N, U and V: the distance from the plane, and the shares of the two sides."""

@@ -39,6 +39,7 @@ class DeepScreenSpace:
     """Adds up form factors; the error, but for what blocks, falls with `surfel` and `epsilon` and as `levels` rise."""
 
     name: ClassVar[str] = "dss"
+    aims: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = (
         "meshes",
         "position_w",

@@ -173,7 +173,7 @@ class Device:
             size: (width, height) in texels.
             components: 1..4; 3 become 4, since three-component textures cannot be rendered to.
             data: (height, width, components).
-            dtype: "f4", "f2", or "nu2": 0..1 in 65535 parts, `data` as integers.
+            dtype: "f4", "f2", "u4", or "nu2": 0..1 in 65535 parts, `data` as integers.
             linear: bilinear filtering instead of the nearest texel.
             repeat: whether coordinates beyond 0..1 wrap.
         """

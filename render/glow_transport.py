@@ -136,16 +136,24 @@ class Surroundings:
 
 
 class GlowTransport(Protocol):
-    """One way to bring glow to the surfaces that the camera sees."""
+    """One way to bring glow to the surfaces that the camera sees.
+
+    Attributes:
+        aims: whether it looks for what glows brightly: then it is prepared anew where it has gone dark.
+    """
 
     name: ClassVar[str]
+    aims: ClassVar[bool]
 
     def __init__(
         self, device: Device, surroundings: Surroundings, parameters: TransportParameters
     ) -> None: ...
 
     def prepare(self) -> None:
-        """Do what holds while nothing moves: the G-buffer and the atlases are drawn. Done again after each move."""
+        """Do what holds while nothing moves: the G-buffer and the atlases are drawn. Done again after each move.
+
+        The glows hold what is sent when it has gone dark; nothing while a light is on.
+        """
         ...
 
     def run(self, radiance: moderngl.TextureArray) -> None:

@@ -178,6 +178,11 @@ class PhosphorState:
             self._anchor, self._spare = self._spare, self._anchor
         self.shown = self._anchor
 
+    @property
+    def anchor(self) -> StateTexture:
+        """The state at the anchor."""
+        return self._anchor
+
     def show_anchor(self) -> None:
         """Let `shown` be the state at the anchor: that of its very time, whatever was shown before."""
         self.shown = self._anchor

@@ -26,6 +26,7 @@ class Reference:
     """Follows random paths; the error falls with the square root of `samples`."""
 
     name: ClassVar[str] = "reference"
+    aims: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = ("meshes", "camera", "reflectance", "atlas.radiance")
     writes: ClassVar[tuple[str, ...]] = ("radiance",)
 

@@ -128,6 +128,8 @@ class Renderer:
         self._placed_s: float | None = None
         self._excited_s: float | None = None
         self._seen_s: float | None = None
+        # Since when it has been dark where glow was last looked for: None while a light is on.
+        self._dark_since_s: float | None = None
         self._moving_s, self._moves_lit = moving_s(scene), moves_lit(scene)
         self.prepare()
 
@@ -181,7 +183,6 @@ class Renderer:
             state.reset()
         for state in self.states:
             state.strictest_per_s = max(other.largest_rate_per_s for other in self.states)
-        self._see(0.0)
 
     def _place(self, t_s: float) -> None:
         """Put everything where it is at `t_s`."""
@@ -211,13 +212,30 @@ class Renderer:
             self._excited_s = t_s
 
     def _see(self, t_s: float) -> None:
-        """Find what the camera sees at `t_s`, and which way glow takes."""
+        """Find what the camera sees at `t_s`, and which way glow takes; the states are those of then."""
         self._place(t_s)
-        if self._placed_s != self._seen_s:
+        dark = self.scene.schedule.dark_for_s(t_s)
+        since = None if dark is None else round(t_s - dark, 9)
+        moved = self._placed_s != self._seen_s
+        if moved:
             self.gbuffer.run(self._pose.camera)
-            if self.transport is not None:
-                self.transport.prepare()
-            self._seen_s = self._placed_s
+        if self.transport is not None and (moved or (self.transport.aims and since != self._dark_since_s)):
+            self.prepare_transport(t_s)
+        self._seen_s, self._dark_since_s = self._placed_s, since
+
+    def prepare_transport(self, t_s: float) -> None:
+        """Find which way glow takes to what the camera sees: what holds until something moves, or a light is switched.
+
+        In the dark it is found for what glowed when it went dark, so that all pictures of one night have the same ways.
+        """
+        assert self.transport is not None
+        dark = self.scene.schedule.dark_for_s(t_s)
+        for glow, state in zip(self.glows, self.states, strict=True):
+            if dark is None:
+                glow.clear()
+            else:
+                glow.run((state.anchor if dark > 0 else state.shown).value)
+        self.transport.prepare()
 
     def frame(self, t_s: float, label: str | None = None) -> Frame:
         """Render the scene at `t_s` seconds; forwards in time is cheaper than backwards.

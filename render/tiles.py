@@ -28,6 +28,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from phoslab.render.cell_aims import aim_rows, brightness
 from phoslab.render.cell_rays import CellTree
 from phoslab.render.cells import Cells
 from phoslab.render.device import LOOP_TURNS, Device, bind_buffers, set_uniforms
@@ -50,6 +51,7 @@ class Tiles:
     """Gathers glow; the error falls with `directions`, `cell` and `detail`."""
 
     name: ClassVar[str] = "tiles"
+    aims: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = (
         "meshes",
         "position_w",
@@ -108,10 +110,11 @@ class Tiles:
             groups = self._device.buffer(np.zeros((n_groups, GROUP_FLOATS), dtype=np.float32))
             self._bound_groups(groups)
             tree = CellTree(self._device, self.cells, detail=p.detail, sends_on=p.sends_on)
-            corners = self._device.buffer(self.cells.aims())
+            expected = brightness(self.cells, self.lit_cells.cell_glow.emitted(), self._around.drawables)
+            corners = self._device.buffer(aim_rows(self.cells, expected))
             seen = (tree, groups, *self._choose_aims(tree, groups, n_groups, corners), corners)
             self._find_hits(self._looks, *seen)
-            self._find_guide(tree)
+            self._find_guide(tree, corners)
             if self._more is not None:
                 shares = self._pixels.shares(p.filter_px)
                 self._more.take(that_share_little(shares, self._order))
@@ -183,12 +186,12 @@ class Tiles:
             self._device.dispatch_items(shader, looks.count)
         tree.check()
 
-    def _find_guide(self, tree: CellTree) -> None:
+    def _find_guide(self, tree: CellTree, corners: moderngl.Buffer) -> None:
         size = self._around.size
         rough = self._device.buffer(np.zeros((size[0] * size[1], 2), dtype=np.float32))
         judge, smooth = self._guide_shaders
         tree.bind(judge)
-        bind_buffers(self._looks.hits, self._looks.pixels, rough, first=1)
+        bind_buffers(self._looks.hits, self._looks.pixels, rough, corners, first=1)
         set_uniforms(judge, count=self._looks.count)
         self._device.dispatch_items(judge, self._looks.count)
         self._pixels.bind_receivers(smooth)

@@ -15,7 +15,7 @@ struct Stage { // how far a group's walk has come
 layout(std430, binding = 1) readonly buffer Groups { Group groups[]; };
 layout(std430, binding = 2) buffer Ends { uint ends[]; }; // counts, or where each group's list begins
 layout(std430, binding = 3) buffer Stages { Stage stages[]; };
-layout(std430, binding = 4) readonly buffer Corners { vec4 corners[]; }; // three a cell; w of the first: its area
+layout(std430, binding = 4) readonly buffer Corners { vec4 corners[]; }; // three a cell; w of the first: what it is taken to send
 #ifdef FILL
 layout(std430, binding = 5) writeonly buffer Aims { Aim aims[]; };
 #endif

@@ -1,6 +1,6 @@
 #version 430
-// What a pixel would receive if all that may send light sent alike, and the variance of that mean: it knows where a shadow
-// may end, and since it depends on geometry alone, the filter that it guides stays linear in the light.
+// What a pixel would receive if all sent what it is taken to, and the variance of that mean: it knows where a shadow may
+// end, and since it does not change while it is dark, the filter that it guides stays linear in the light.
 layout(local_size_x = 64) in;
 #include "items.glsl"
 #include "cells.glsl"
@@ -8,6 +8,7 @@ layout(local_size_x = 64) in;
 layout(std430, binding = 1) readonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
 layout(std430, binding = 2) readonly buffer Pixels { uint pixels[]; };
 layout(std430, binding = 3) writeonly buffer Guide { vec2 guide[]; };
+layout(std430, binding = 4) readonly buffer Corners { vec4 corners[]; }; // three a cell; w of the second: what it sends
 uniform int count; // of the pixels
 
 void main() {
@@ -17,7 +18,8 @@ void main() {
     for (int k = 0; k < DIRECTIONS; ++k) {
         uvec2 hit = hits[item * DIRECTIONS + k];
         if ((hit.x & 1u) == 0u) continue;
-        float light = uintBitsToFloat(hit.y) * float(glows(hit.x / 2u));
+        uint cell = hit.x / 2u;
+        float light = uintBitsToFloat(hit.y) * float(glows(cell)) * corners[3u * cell + 1u].w;
         sum += light;
         squares += light * light;
     }

@@ -18,7 +18,7 @@ layout(local_size_x = 64) in;
 layout(std430, binding = 1) readonly buffer Groups { Group groups[]; };
 layout(std430, binding = 2) readonly buffer Ends { uint ends[]; }; // where each group's list begins; one more
 layout(std430, binding = 3) readonly buffer Aims { Aim aims[]; };
-layout(std430, binding = 4) readonly buffer Corners { vec4 corners[]; }; // three a cell
+layout(std430, binding = 4) readonly buffer Corners { vec4 corners[]; }; // three a cell; w of the second: of each of its areas
 layout(std430, binding = 5) readonly buffer Points { vec2 points[]; }; // of the unit square; DIRECTIONS a place
 layout(std430, binding = 6) readonly buffer Pixels { uint pixels[]; }; // in rows; those of a tile follow each other
 layout(std430, binding = 7) writeonly buffer Hits { uvec2 hits[]; }; // DIRECTIONS a pixel: 1 + 2 cell + back, or 0; weight
@@ -92,7 +92,8 @@ void main() {
         vec3 p = ray.o + met.away * ray.d;
         Part part = part_of(met.cell);
         while (at_glow && part.count > 1u && !is_aim(group, part.cell)) part = half_at(part, p);
-        float density = at_glow ? promise(group, part.cell) * met.away * met.away / abs(met.slope) : 0.0;
+        float sent = corners[3u * part.cell + 1u].w;
+        float density = at_glow ? sent * promise(group, part.cell) * met.away * met.away / abs(met.slope) : 0.0;
         float facing = max(dot(ray.d, ray.n), 0.0) * INV_PI;
         float mixed = share * facing + (1.0 - share) * density / max(total, 1e-30);
         bool counts = meets && mixed > 0.0 && (aimed == NONE || aimed == part.cell);

@@ -5,12 +5,14 @@
 // what the ray may meet is tested outside of it, by all together (Aila and Laine 2009). Nor is a loop guarded by an `if`
 // within another: there it runs wrongly.
 #include "cells.glsl"
+#include "cell_boxes.glsl"
 
 layout(std430, binding = 9) writeonly buffer Unfinished { uint unfinished; }; // whether a driver has ended a walk
 
 struct Ray {
     vec3 o, n; // from o, where the surface faces n
-    vec3 d, inverse;
+    vec3 d;
+    vec3 o_box, inverse; // among the boxes
 };
 
 const float PARALLEL = 0.8;
@@ -26,12 +28,13 @@ const float NOWHERE = 1e30;
 
 void turn(inout Ray ray, vec3 d) {
     ray.d = d;
-    ray.inverse = 1.0 / mix(d, vec3(1e-20), equal(d, vec3(0.0)));
+    ray.o_box = to_boxes(ray.o);
+    ray.inverse = BOX_STEP / mix(d, vec3(1e-20), equal(d, vec3(0.0)));
 }
 
-// Whether a ray passes by a cell's box, or ends before it.
-bool is_missed(vec3 low, vec3 high, Ray ray, float nearest) {
-    vec3 a = (low - ray.o) * ray.inverse, b = (high - ray.o) * ray.inverse, near = min(a, b), far = max(a, b);
+// Whether a ray passes by a box, or ends before it.
+bool is_missed(Box box, Ray ray, float nearest) {
+    vec3 a = (box.low - ray.o_box) * ray.inverse, b = (box.high - ray.o_box) * ray.inverse, near = min(a, b), far = max(a, b);
     float enters = max(max(near.x, near.y), near.z), leaves = min(min(far.x, far.y), far.z);
     return enters > leaves || leaves < 0.0 || enters > nearest;
 }
@@ -59,14 +62,18 @@ float find_hit(uint cell, Ray ray, out float cosine) {
 Met walk_of(Ray ray, vec4 viewer) {
     Met met = Met(0u, NOWHERE, 1.0);
     uint cell = 0u, count = uint(cell_count);
+    vec3 viewer_box = to_boxes(viewer.xyz);
+    float viewer_radius = viewer.w / BOX_STEP;
     while (cell < count) {
-        vec4 low;
+        uint next;
         while (cell < count) {
-            low = cells[cell].low;
-            vec4 high = cells[cell].high;
-            bool is_passed = is_missed(low.xyz, high.xyz, ray, met.away);
-            if (!is_passed && is_apart(viewer, 0.5 * (low.xyz + high.xyz), high.w)) break;
-            cell = is_passed ? uint(abs(low.w)) : cell + 1u;
+            Box box = box_of(cell);
+            next = box.after;
+            bool is_passed = is_missed(box, ray, met.away);
+            vec3 to = 0.5 * (box.low + box.high) - viewer_box;
+            float least = box.apart + viewer_radius;
+            if (!is_passed && (box.apart == 0.0 || dot(to, to) >= least * least)) break;
+            cell = is_passed ? next : cell + 1u;
         }
         if (cell >= count) break;
         float slope, away = find_hit(cell, ray, slope);
@@ -74,7 +81,7 @@ Met walk_of(Ray ray, vec4 viewer) {
         met.cell = is_nearer ? cell : met.cell;
         met.slope = is_nearer ? slope : met.slope;
         met.away = is_nearer ? away : met.away;
-        cell = uint(abs(low.w));
+        cell = next;
     }
     if (cell != count) unfinished = 1u;
     return met;

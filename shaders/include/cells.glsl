@@ -1,8 +1,8 @@
 // The tree of cells in the order of a walk: a cell is followed by those that it is made of.
 struct Cell { // as `Cells.walk` has it
     vec4 low;  // of a box around all that it stands for; w: the cell after its last descendant, negative where it glows
-    vec4 high; // w: how far from its middle it may stand for its parts; negative: anywhere
-    vec4 aim;  // its middle; w: as high.w, where what it sends matters
+    vec4 high;
+    vec4 aim;  // its middle; w: how far from there it may stand for its parts where what it sends matters; negative: anywhere
     vec4 N, U, V; // distance from the plane, and shares of the sides, of a point
     vec4 halves;  // of one that is made of halves: negative in the first
     vec4 more; // how far all that it stands for reaches from the plane; the most of u + v; whether it is made of halves
