@@ -47,7 +47,8 @@ class Forest:
         corners: (n, 3, 3) the corner and its two neighbours: of a triangle, or of a parallelogram.
         normals: (n, 3) to the outside.
         is_triangle: (n,).
-        errors: (n,) how far all that a cell stands for reaches from its plane; `NEVER` where it is no likeness.
+        heights: (n,) how far all that a cell stands for reaches from its plane; `NEVER` where it is no likeness.
+        errors: (n,) the same, and how far the cell reaches beyond that; `NEVER` as well.
         is_halved: (n,) whether it is made of two halves, which lie in its plane.
         skip: (n,) the index after a cell's last descendant.
         leaves: (n, 2) first and end of the smallest cells below, in their own count.
@@ -59,6 +60,7 @@ class Forest:
     corners: Array
     normals: Array
     is_triangle: NDArray[np.bool_]
+    heights: Array
     errors: Array
     is_halved: NDArray[np.bool_]
     skip: Indices
@@ -153,7 +155,8 @@ class _Layout:
     def __init__(self, mesh: FlatMesh, levels: Sequence[_Level]) -> None:
         self._mesh, self._levels = mesh, levels
         n, n_leaves = int(levels[0].n.sum()), int(levels[0].n_leaves.sum())
-        self._corners, self._normals, self._errors = np.empty((n, 3, 3)), np.empty((n, 3)), np.zeros(n)
+        self._corners, self._normals = np.empty((n, 3, 3)), np.empty((n, 3))
+        self._heights, self._errors = np.zeros(n), np.zeros(n)
         self._is_triangle, self._is_halved = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         self._skip, self._leaves = np.empty(n, dtype=np.intp), np.empty((n, 2), dtype=np.intp)
         self._leaf_areas = np.empty(n_leaves)
@@ -171,6 +174,7 @@ class _Layout:
             self._corners,
             self._normals,
             self._is_triangle,
+            self._heights,
             self._errors,
             self._is_halved,
             self._skip,
@@ -192,11 +196,8 @@ class _Layout:
     def _put_likenesses(self, level: _Level) -> None:
         of = ~level.is_single
         at, like = level.at[of], level.likenesses
-        self._corners[at], self._normals[at], self._errors[at] = (
-            like.corners[of],
-            like.normals[of],
-            like.errors[of],
-        )
+        self._corners[at], self._normals[at] = like.corners[of], like.normals[of]
+        self._heights[at], self._errors[at] = like.heights[of], like.errors[of]
         self._skip[at] = at + level.n[of]
         self._leaves[at] = level.leaf_at[of, None] + np.stack([np.zeros_like(at), level.n_leaves[of]], axis=1)
         if level.is_leaf.any():

@@ -28,8 +28,8 @@ class Likenesses:
         corners: (c, 3, 3) a parallelogram's corner and its two neighbours; of a cluster that has none, its middle.
         normals: (c, 3).
         radii: (c,) of all that it stands for.
-        heights: (c,) how far that is off its plane.
-        errors: (c,) how far that reaches from it; `NEVER` where there is none.
+        heights: (c,) how far that is off its plane; `NEVER` where there is none.
+        errors: (c,) the same, and how far the parallelogram reaches beyond it; `NEVER` where it is no likeness.
     """
 
     corners: Array

@@ -69,7 +69,7 @@ class Cells(Forest):
         rows[:, 2, :3], rows[:, 2, 3] = (low + high) / 2, np.where(is_smallest, -1.0, aim)
         rows[:, 3:6] = self._planes()
         rows[self.is_halved, 6] = self._halves()
-        rows[:, 7, 0], rows[:, 7, 1] = np.minimum(self.errors, 1.0), np.where(self.is_triangle, 1.0, 2.0)
+        rows[:, 7, 0], rows[:, 7, 1] = np.minimum(self.heights, 1.0), np.where(self.is_triangle, 1.0, 2.0)
         rows[:, 7, 2] = self.is_halved
         return rows, pack(low, high, self.skip, np.where(self.is_halved | is_smallest, -1.0, apart))
 

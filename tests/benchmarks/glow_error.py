@@ -27,6 +27,7 @@ SETTINGS: dict[str, list[dict[str, Any]]] = {
     "tiles": [
         {},
         {"directions": 2},
+        {"directions": 4},
         {"directions": 32},
         {"directions": 128},
         {"directions": 128, "cell": 1 / 400, "detail": 0.05},

@@ -46,7 +46,7 @@ from phoslab.trades import SOFTWARE_RENDERERS
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
-SCENES = ("cornell", "occluder", "corridor", "fading")
+SCENES = ("cornell", "occluder", "corridor")
 SIDE, QUICK_SIDE = 64, 32
 TRUTH_SAMPLES, QUICK_TRUTH_SAMPLES = 512, 64
 SAMPLES = (8, 32, 128)
