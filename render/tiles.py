@@ -15,9 +15,9 @@
 
 The idea of the bounced z-buffer (Nalbach, Ritschel and Seidel 2015) without its holes: cells cover flat surfaces
 exactly, and every ray is held against a choice of cells that stands for all of the scene once, so nothing leaks between
-levels. Since geometry alone decides what a ray meets, a picture of the same view at another time costs only the last
-four. All surfaces block; light leaves the outside of a surface, and is reflected by both sides: by cells as often as is
-asked for (`cell_light.py`), and at last by what the camera sees.
+levels. Rays aim at what is bright when it goes dark, and what they meet then holds: a picture of the same view at
+another time of the same night costs only the last four. All surfaces block; light leaves the outside of a surface, and
+is reflected by both sides: by cells as often as is asked for (`cell_light.py`), and at last by what the camera sees.
 """
 
 from __future__ import annotations

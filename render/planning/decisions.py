@@ -200,10 +200,15 @@ def _transport(planner: Planner, choices: Choices, seconds: float) -> Iterator[T
     )
 
 
+# What is said of a way as a number of things, or by another line; and what its options are called.
+_SAID = ("method", "full", "bounces", "directions", "samples")
+_OPTIONS = {"filter_px": "filter"}
+
+
 def _named(gi: Mapping[str, Any]) -> str:
-    return ", ".join(
-        [gi["method"], *(f"{v} {k}" for k, v in gi.items() if k not in ("method", "full", "bounces"))]
-    )
+    counted = [f"{gi[k]} {k}" for k in ("directions", "samples") if k in gi]
+    others = [f"{_OPTIONS.get(k, k)} {v:g}" for k, v in gi.items() if k not in _SAID]
+    return ", ".join([gi["method"], *counted, *others])
 
 
 def _reason(planner: Planner, choices: Choices) -> str:

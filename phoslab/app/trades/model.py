@@ -54,8 +54,13 @@ SAMPLES = (8, 32, 128)
 # Paths a pixel that are timed, and how often: the shortest counts.
 TIMED_SAMPLES, REPEATS = (4, 64), 3
 
-# Directions and reflections that a way is measured with, where it knows either; else with its defaults.
-SETTINGS = {"tiles": ((4, 8, 16, 64), (1, 3)), "dss-z": ((4, 16), (1,))}
+# What a way is measured with, and after how many reflections; else with its defaults. The last of tiles is for large
+# pictures of which much is asked.
+FINE = {"directions": 128, "filter_px": 2, "cell": 1 / 80, "detail": 0.15}
+SETTINGS: dict[str, tuple[Sequence[dict[str, Any]], tuple[int, ...]]] = {
+    "tiles": ([*({"directions": n} for n in (4, 8, 16, 64)), FINE], (1, 3)),
+    "dss-z": ([{"directions": n} for n in (4, 16)], (1,)),
+}
 REFERENCE = "reference"
 
 
@@ -234,13 +239,13 @@ def _parts_s(device: Device, case: Case, choices: Choices, plain: Choices) -> di
 
 
 def _ways(quick: bool) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield every way but the path tracer, at several numbers of directions and reflections if it knows more."""
+    """Yield every way but the path tracer, with several settings and numbers of reflections if it knows more."""
     for method in METHODS:
         if method == REFERENCE:
             continue
-        directions, bounces = SETTINGS.get(method, ((TransportParameters.directions,), (1,)))
-        for n, reflections in itertools.product(directions[: 2 if quick else None], bounces):
-            yield method, {"directions": n, "bounces": reflections}
+        settings, bounces = SETTINGS.get(method, ([{"directions": TransportParameters.directions}], (1,)))
+        for setting, reflections in itertools.product(settings[: 2 if quick else None], bounces):
+            yield method, {**setting, "bounces": reflections}
 
 
 def _reductions(case: Case, plain: Choices) -> Iterator[tuple[str, str, Choices]]:
