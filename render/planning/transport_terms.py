@@ -126,19 +126,33 @@ def _inexact(
         error: mean relative error of the reflected light.
         sure: (T,) by how much that light may be more than the pilot's.
         pattern: (h, w, 3) how the error lies over the picture, its mean absolute value being 1; None: the same share
-            of reflected light everywhere, up and down in turn.
+            of reflected light everywhere, and, of ways in which that may go up and down, the worst of `_turns`.
     """
     reflected = pilot.as_picture(pilot.bounces[:reflections].sum(axis=0)) + pilot.unmet(0)
     picture = pilot.as_picture(pilot.lamp + pilot.glow) + reflected
     if pattern is None:
-        off = reflected * np.where(np.indices(pilot.shape).sum(axis=0) % 2, 1.0, -1.0)[..., None]
+        offs = [reflected * turn for turn in _turns(pilot.shape, bound)]
     else:
-        off = reflected.mean(axis=(1, 2, 3), keepdims=True) * pattern
-    wrong = picture + error * off
+        offs = [reflected.mean(axis=(1, 2, 3), keepdims=True) * pattern]
+    worst = 0.0
+    for off in offs:
+        wrong = picture + error * off
+        if not bound.of_the_whole:
+            wrong = np.maximum(wrong, 0.0)
+        each = zip(np.broadcast_to(sure, len(wrong)), wrong, picture, pilot.exposures, strict=True)
+        worst = max(worst, *(more * bound.error(a, right, exposure) for more, a, right, exposure in each))
+    return float(worst)
+
+
+def _turns(shape: tuple[int, int], bound: Bound) -> Iterator[Array]:
+    """Yield (h, w, 1) signs of an error: up and down in turn, and, where the eye counts, up in three of four.
+
+    What goes one way over some width is seen more than what goes up and down from pixel to pixel.
+    """
+    i, j = np.indices(shape)
+    yield np.where((i + j) % 2, 1.0, -1.0)[..., None]
     if not bound.of_the_whole:
-        wrong = np.maximum(wrong, 0.0)
-    each = zip(np.broadcast_to(sure, len(wrong)), wrong, picture, pilot.exposures, strict=True)
-    return float(max(more * bound.error(off, right, exposure) for more, off, right, exposure in each))
+        yield np.where(i % 2 & j % 2, -1.0, 1.0)[..., None]
 
 
 def _sureness(pilot: Pilot) -> Array:
