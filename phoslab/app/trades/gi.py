@@ -67,14 +67,7 @@ SETTINGS: dict[str, Sequence[dict[str, Any]]] = {
         {"directions": 8, "detail": 0.6},
     ),
     "dss": ({"epsilon": 0.08}, {"epsilon": 0.02}, {"surfel": 0.04}, {"levels": 2}, {"levels": 4}),
-    "dss-z": (
-        {"directions": 1},
-        {"directions": 4},
-        {"epsilon": 0.08},
-        {"surfel": 0.04},
-        {"levels": 2},
-        {"levels": 4},
-    ),
+    "dss-z": ({"directions": 1}, {"directions": 4}, {"epsilon": 0.08}, {"surfel": 0.04}, {"levels": 4}),
 }
 PATHS = (1, 4, 16, 64)
 # What has taken so long is not measured again.
