@@ -215,6 +215,7 @@ def inside(size):
 
     with Device() as device:
         renderer = Renderer(device, load_scene(SCENES / "occluder"), RenderParameters(size, 1))
+        renderer.frame(0.0)
         p = read_texture(renderer.gbuffer.position_w)[::-1, :, :3]
     low = np.array(scene_occluder.LOW) + np.array([1, 0, 1]) * scene_occluder.WALL
     high = np.array(scene_occluder.HIGH) - np.array([1, 1, 2]) * scene_occluder.WALL
