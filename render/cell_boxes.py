@@ -43,7 +43,25 @@ def pack(low: Array, high: Array, after: NDArray[np.intp], apart: Array) -> NDAr
     first = np.clip(np.floor((low + REACH) / STEP), 0, 65535).astype(np.uint32)
     last = np.clip(np.ceil((high + REACH) / STEP), 0, 65535).astype(np.uint32)
     packed[:n, :3] = first | last << 16
-    # The square root of the distance: near ones are told apart the better.
-    root = np.ceil(255 * np.sqrt(np.clip(apart, 0.0, FARTHEST) / FARTHEST)).clip(1, 255)
-    packed[:n, 3] = after.astype(np.uint32) | np.where(apart < 0, 0, root).astype(np.uint32) << NEXT_BITS
+    packed[:n, 3] = (
+        after.astype(np.uint32) | np.where(apart < 0, 0, _root(apart)).astype(np.uint32) << NEXT_BITS
+    )
     return packed.reshape(-1, ROW, 4)
+
+
+def middles(packed: NDArray[np.uint32]) -> Array:
+    """Return (n, 3) the middles of packed boxes."""
+    corners = packed.reshape(-1, 4)[:, :3]
+    return ((corners & 0xFFFF) + (corners >> 16)) / 2 * STEP - REACH
+
+
+def packed_distance(distance: Array) -> Array:
+    """Return what a distance is after packing: no less, and at most `FARTHEST`."""
+    packed: Array = FARTHEST * (_root(distance) / 255) ** 2
+    return packed
+
+
+def _root(distance: Array) -> Array:
+    """Return what is packed: of the square root, so that near ones are told apart the better."""
+    root: Array = np.ceil(255 * np.sqrt(np.clip(distance, 0.0, FARTHEST) / FARTHEST)).clip(1, 255)
+    return root

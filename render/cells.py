@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.render.cell_boxes import pack
+from phoslab.render.cell_boxes import middles, pack, packed_distance
 from phoslab.render.cell_forest import Forest, grow
 from phoslab.render.cell_meshes import COPLANAR, FlatMesh
 from phoslab.render.gpu_scene import GpuDrawable
@@ -66,12 +66,15 @@ class Cells(Forest):
         low, high = low - COPLANAR, high + COPLANAR
         rows[:, 0, :3], rows[:, 0, 3] = low, np.where(glows, -self.skip, self.skip)
         rows[:, 1, :3] = high
-        rows[:, 2, :3], rows[:, 2, 3] = (low + high) / 2, np.where(is_smallest, -1.0, aim)
+        boxes = pack(low, high, self.skip, np.where(self.is_halved | is_smallest, -1.0, apart))
+        # As the walk has them: a cell that is aimed at, and then taken for too large by the walk, would be lost.
+        rows[:, 2, :3] = middles(boxes)[: len(rows)]
+        rows[:, 2, 3] = np.where(is_smallest, -1.0, packed_distance(aim))
         rows[:, 3:6] = self._planes()
         rows[self.is_halved, 6] = self._halves()
         rows[:, 7, 0], rows[:, 7, 1] = np.minimum(self.heights, 1.0), np.where(self.is_triangle, 1.0, 2.0)
         rows[:, 7, 2] = self.is_halved
-        return rows, pack(low, high, self.skip, np.where(self.is_halved | is_smallest, -1.0, apart))
+        return rows, boxes
 
     def _planes(self) -> Array:
         """Return (n, 3, 4) planes N, U and V: the distance from the plane, and the shares of the two sides."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from phoslab.render.cell_boxes import FARTHEST, NEXT_BITS, REACH, STEP
 from phoslab.render.cell_forest import grow
 from phoslab.render.cell_likeness import NEVER
 from phoslab.render.cell_meshes import FlatMesh
@@ -108,3 +109,17 @@ def test_small_triangles_lie_within_the_error_of_what_stands_for_them(meshes):
         assert (low[k] <= forest.corners[k].min(axis=0) + 1e-12).all()
         assert (high[k] >= forest.corners[k].max(axis=0) - 1e-12).all()
     assert covered.all()
+
+
+def test_a_cell_that_is_aimed_at_is_one_that_the_walk_takes(meshes):
+    """A walk that went on to the parts of a cell at which a ray was aimed would lose the ray, and its light."""
+    cells = Cells(**vars(grow(meshes, SMALLEST)), centre=np.zeros(3), radius=1.0)
+    rows, boxes = cells.walk(0.1, sends_on=False)
+    words = boxes.reshape(-1, 4)[: len(rows)]
+    smallest = cells.skip == np.arange(1, len(cells.skip) + 1)
+    both = cells.glows() & ~cells.is_halved & ~smallest
+    assert both.sum() > 20
+    apart = FARTHEST * ((words[both, 3] >> NEXT_BITS) / 255) ** 2
+    np.testing.assert_allclose(rows[both, 2, 3], apart, rtol=2.0**-23)
+    low, high = ((words[both, :3] >> shift & 0xFFFF) * STEP - REACH for shift in (0, 16))
+    np.testing.assert_allclose(rows[both, 2, :3], (low + high) / 2, atol=2.0**-24)
