@@ -49,7 +49,7 @@ def pack(low: Array, high: Array, after: NDArray[np.intp], apart: Array) -> NDAr
     return packed.reshape(-1, ROW, 4)
 
 
-def middles(packed: NDArray[np.uint32]) -> Array:
+def box_middles(packed: NDArray[np.uint32]) -> Array:
     """Return (n, 3) the middles of packed boxes."""
     corners = packed.reshape(-1, 4)[:, :3]
     return ((corners & 0xFFFF) + (corners >> 16)) / 2 * STEP - REACH

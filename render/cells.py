@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phoslab.render.cell_boxes import middles, pack, packed_distance
+from phoslab.render.cell_boxes import box_middles, pack, packed_distance
 from phoslab.render.cell_forest import Forest, grow
 from phoslab.render.cell_meshes import COPLANAR, FlatMesh
 from phoslab.render.gpu_scene import GpuDrawable
@@ -26,7 +26,6 @@ Array = NDArray[np.float64]
 
 MOST_LEAVES = 1 << 18
 ERRORS = 3.0  # a likeness must be this much better than its size
-FAR = 1e6  # beyond all that is in a scene; its square is a float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,16 +58,14 @@ class Cells(Forest):
         radius, glows = np.linalg.norm(high - low, axis=1) / 2, self.glows()
         is_smallest = self.skip == np.arange(1, len(self.skip) + 1)
         least = radius + ERRORS * self.errors / detail
-        apart, aim = (
-            np.minimum(least + size / detail, FAR) for size in (radius * (glows | sends_on), radius)
-        )
+        apart, aim = (least + size / detail for size in (radius * (glows | sends_on), radius))
         rows = np.zeros((len(self.skip), 8, 4), dtype=np.float32)
         low, high = low - COPLANAR, high + COPLANAR
         rows[:, 0, :3], rows[:, 0, 3] = low, np.where(glows, -self.skip, self.skip)
         rows[:, 1, :3] = high
         boxes = pack(low, high, self.skip, np.where(self.is_halved | is_smallest, -1.0, apart))
         # As the walk has them: a cell that is aimed at, and then taken for too large by the walk, would be lost.
-        rows[:, 2, :3] = middles(boxes)[: len(rows)]
+        rows[:, 2, :3] = box_middles(boxes)[: len(rows)]
         rows[:, 2, 3] = np.where(is_smallest, -1.0, packed_distance(aim))
         rows[:, 3:6] = self._planes()
         rows[self.is_halved, 6] = self._halves()

@@ -160,9 +160,9 @@ def faded_stretches(scene: Scene, moments: list[float]) -> list[list[int]]:
     """Return the indices of those moments that a fade basis serves with fewer pictures, by stretch of darkness."""
     stretches: dict[float, list[int]] = {}
     for k, t in enumerate(moments):
-        dark = scene.schedule.dark_for_s(t)
-        if dark is not None and t >= moving_s(scene)[1]:
-            stretches.setdefault(round(t - dark, 9), []).append(k)
+        since = scene.schedule.dark_since_s(t)
+        if since is not None and t >= moving_s(scene)[1]:
+            stretches.setdefault(since, []).append(k)
     if not scene.phosphors or any(
         d.phosphor is not None and d.phosphor.optics.uniform_kr is None for d in scene.phosphors
     ):

@@ -152,7 +152,7 @@ class GlowTransport(Protocol):
     def prepare(self) -> None:
         """Do what holds while nothing moves: the G-buffer and the atlases are drawn. Done again after each move.
 
-        The glows hold what is sent when it has gone dark; nothing while a light is on.
+        Where it aims, the glows hold what is sent when it has gone dark; nothing while a light is on.
         """
         ...
 

@@ -214,8 +214,7 @@ class Renderer:
     def _see(self, t_s: float) -> None:
         """Find what the camera sees at `t_s`, and which way glow takes; the states are those of then."""
         self._place(t_s)
-        dark = self.scene.schedule.dark_for_s(t_s)
-        since = None if dark is None else round(t_s - dark, 9)
+        since = self.scene.schedule.dark_since_s(t_s)
         moved = self._placed_s != self._seen_s
         if moved:
             self.gbuffer.run(self._pose.camera)
@@ -229,12 +228,13 @@ class Renderer:
         In the dark it is found for what glowed when it went dark, so that all pictures of one night have the same ways.
         """
         assert self.transport is not None
-        dark = self.scene.schedule.dark_for_s(t_s)
-        for glow, state in zip(self.glows, self.states, strict=True):
-            if dark is None:
-                glow.clear()
-            else:
-                glow.run((state.anchor if dark > 0 else state.shown).value)
+        since = self.scene.schedule.dark_since_s(t_s)
+        if self.transport.aims:
+            for glow, state in zip(self.glows, self.states, strict=True):
+                if since is None:
+                    glow.clear()
+                else:
+                    glow.run((state.anchor if since < t_s else state.shown).value)
         self.transport.prepare()
 
     def frame(self, t_s: float, label: str | None = None) -> Frame:

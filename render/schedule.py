@@ -57,11 +57,16 @@ class Schedule:
         last = max(self._offs(), default=math.inf)
         return last if math.isfinite(last) else None
 
-    def dark_for_s(self, t_s: float) -> float | None:
-        """Return how long no light has been on at `t_s`, whatever its programme; None while one is."""
+    def dark_since_s(self, t_s: float) -> float | None:
+        """Return since when no light has been on at `t_s`, whatever its programme; None while one is."""
         if any(course.on.at(t_s) for course in self.courses.values()):
             return None
-        return t_s - max((off for off in self._offs() if off <= t_s), default=0.0)
+        return max((off for off in self._offs() if off <= t_s), default=0.0)
+
+    def dark_for_s(self, t_s: float) -> float | None:
+        """Return how long that has been; None while a light is on."""
+        since = self.dark_since_s(t_s)
+        return None if since is None else t_s - since
 
     def _offs(self) -> list[float]:
         return [off for course in self.courses.values() for _, off in course.on.intervals]

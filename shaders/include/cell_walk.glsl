@@ -62,17 +62,14 @@ float find_hit(uint cell, Ray ray, out float cosine) {
 Met walk_of(Ray ray, vec4 viewer) {
     Met met = Met(0u, NOWHERE, 1.0);
     uint cell = 0u, count = uint(cell_count);
-    vec3 viewer_box = to_boxes(viewer.xyz);
-    float viewer_radius = viewer.w / BOX_STEP;
+    vec4 viewer_box = vec4(to_boxes(viewer.xyz), viewer.w / BOX_STEP);
     while (cell < count) {
         uint next;
         while (cell < count) {
             Box box = box_of(cell);
             next = box.after;
             bool is_passed = is_missed(box, ray, met.away);
-            vec3 to = 0.5 * (box.low + box.high) - viewer_box;
-            float least = box.apart + viewer_radius;
-            if (!is_passed && (box.apart == 0.0 || dot(to, to) >= least * least)) break;
+            if (!is_passed && is_apart(viewer_box, 0.5 * (box.low + box.high), box.apart)) break;
             cell = is_passed ? next : cell + 1u;
         }
         if (cell >= count) break;

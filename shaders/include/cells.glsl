@@ -22,10 +22,10 @@ bool glows(uint cell) {
     return cells[cell].low.w < 0.0;
 }
 
-// Whether a cell's middle is as far from all of a sphere as that; always, where the distance is negative.
+// Whether a cell's middle is as far from all of a sphere as that; always, where that is none.
 bool is_apart(vec4 sphere, vec3 middle, float least) {
     vec3 to = middle - sphere.xyz;
-    return least < 0.0 || dot(to, to) >= (least + sphere.w) * (least + sphere.w);
+    return least <= 0.0 || dot(to, to) >= (least + sphere.w) * (least + sphere.w);
 }
 
 // Around its box.
