@@ -56,32 +56,44 @@ class GBuffer:
             device.vertex_array(self._program, d.mesh.attributes, d.mesh.indices) for d in drawables
         ]
 
-    def run(self, camera: GltfCamera) -> None:
-        """Draw the scene as `camera` sees it; the picture's aspect is that of its size."""
-        self.camera = camera
-        world_to_clip = self._project(camera)
+    @property
+    def camera(self) -> GltfCamera:
+        """The camera, for what knows of one alone."""
+        (only,) = self.cameras
+        return only
+
+    def run(self, *cameras: GltfCamera) -> None:
+        """Draw the scene as cameras see it, side by side, each in a picture of the same size, whose aspect counts."""
+        self.cameras = cameras
+        width = self.size[0] // len(cameras)
         self._target.use()
         self._target.clear()
         self._device.ctx.enable_only(moderngl.DEPTH_TEST)
-        set_uniforms(self._program, world_to_clip=world_to_clip)
-        for drawable, mesh in zip(self._drawables, self._meshes, strict=True):
-            set_uniforms(
-                self._program,
-                **drawable.placement,
-                handedness=drawable.handedness,
-                drawable=float(drawable.number),
-            )
-            mesh.render()
+        for k, camera in enumerate(cameras):
+            self._target.viewport = (k * width, 0, width, self.size[1])
+            world_to_clip = self._project(camera, width)
+            set_uniforms(self._program, world_to_clip=world_to_clip)
+            for drawable, mesh in zip(self._drawables, self._meshes, strict=True):
+                set_uniforms(
+                    self._program,
+                    **drawable.placement,
+                    handedness=drawable.handedness,
+                    drawable=float(drawable.number),
+                )
+                mesh.render()
         self._device.ctx.enable_only(moderngl.NOTHING)
-        self.rectangles = [self._rectangle(d.box_w, world_to_clip) for d in self._drawables]
+        self.rectangles = [
+            self._rectangle(d.box_w, world_to_clip) if len(cameras) == 1 else (0, 0, *self.size)
+            for d in self._drawables
+        ]
 
-    def _project(self, camera: GltfCamera) -> Array:
+    def _project(self, camera: GltfCamera, width: int) -> Array:
         half_height = np.tan(camera.yfov_rad / 2)
         corners = np.concatenate([d.box_w for d in self._drawables])
         box = np.stack([corners.min(axis=0), corners.max(axis=0)])
         eye = np.linalg.inv(camera.world_to_view)[:3, 3]
         far = camera.near_m + 1.01 * float(np.linalg.norm(np.abs(box - eye).max(axis=0)))
-        half_width = half_height * self.size[0] / self.size[1]
+        half_width = half_height * width / self.size[1]
         return perspective(half_width, half_height, camera.near_m, far) @ camera.world_to_view
 
     def _rectangle(self, box_w: Array, world_to_clip: Array) -> Rectangle:

@@ -70,26 +70,28 @@ class TracedMesh:
 
 def trace(
     meshes: Sequence[TracedMesh],
-    camera: GltfCamera,
+    cameras: Sequence[GltfCamera],
     size: tuple[int, int],
     *,
     reflections: int,
     samples: int,
+    at_once: int | None = None,
     seed: int = 0,
     direct: bool = True,
     grid: int = 1,
     variant: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Texels:
-    """Return (h, w, K) the radiance that reaches the camera, top row first: the mean over each pixel.
+    """Return (h, n w, K) the radiance that reaches n cameras, side by side, top row first: the mean over each pixel.
 
     The vectorised variant sees a pixel through the middles of its grid x grid parts, as the other passes do, in turn;
     the other variant through places at random, since it offers no other: edges then differ.
 
     Args:
-        size: (width, height) in pixels.
+        size: (width, height) in pixels of each camera's picture.
         reflections: the most on a path; `UNLIMITED` follows light to its end.
         samples: paths a pixel, stratified over the pixel and over what sends light (multi-jittered, Kensler 2013).
+        at_once: the most that are stratified, and compiled for, at once; None: as many as memory has room for.
         direct: whether light that comes without a reflection counts.
         grid: parts along the side of a pixel.
         variant: `LLVM` or `SCALAR`; None: `usual_variant`.
@@ -101,20 +103,21 @@ def trace(
     mi = _mitsuba(variant or usual_variant())
     n_bands = meshes[0].reflectance.shape[-1]
     brightest = max((float(m.radiance.max()) for m in meshes if m.radiance is not None), default=0.0)
-    picture = np.zeros((size[1], size[0], n_bands), dtype=np.float32)
+    whole = len(cameras) * size[0], size[1]
+    picture = np.zeros((*whole[::-1], n_bands), dtype=np.float32)
     if brightest == 0.0 or (reflections == 0 and not direct):
         return picture
     for first in range(0, n_bands, 3):
         bands = np.minimum(np.arange(first, first + 3), n_bands - 1)
         if not any(m.radiance is not None and m.radiance[..., bands].any() for m in meshes):
             continue
-        scene = mi.load_dict(_describe(mi, meshes, camera, size, bands, 1.0 / brightest))
+        scene = mi.load_dict(_describe(mi, meshes, cameras, size, bands, 1.0 / brightest))
         depths = [(1.0, reflections + 1 if reflections >= 0 else UNLIMITED)]
         # The same seed gives the same rays from the camera, so what comes directly cancels to the last bit.
         if not direct:
             depths.append((-1.0, 1))
         for sign, depth in depths:
-            part = _render(mi, scene, depth, samples, seed, size, grid)
+            part = _render(mi, scene, depth, samples, at_once or samples, seed, whole, grid)
             n = min(3, n_bands - first)
             picture[..., first : first + n] += np.float32(sign * brightest) * part[..., :n]
         if progress is not None:
@@ -123,10 +126,10 @@ def trace(
 
 
 def _render(
-    mi: Any, scene: Any, depth: int, samples: int, seed: int, size: tuple[int, int], grid: int
+    mi: Any, scene: Any, depth: int, samples: int, at_once: int, seed: int, size: tuple[int, int], grid: int
 ) -> Texels:
     integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": SURE_REFLECTIONS})
-    at_once = max(1, min(samples, MOST_AT_ONCE // (size[0] * size[1])))
+    at_once = max(1, min(samples, at_once, MOST_AT_ONCE // (size[0] * size[1])))
     total = np.zeros((size[1], size[0], 3))
     done = part = 0
     while done < samples:
@@ -172,37 +175,49 @@ def _on_grid(
 def _describe(
     mi: Any,
     meshes: Sequence[TracedMesh],
-    camera: GltfCamera,
+    cameras: Sequence[GltfCamera],
     size: tuple[int, int],
     bands: NDArray[np.intp],
     scale: float,
 ) -> dict[str, Any]:
-    # Mitsuba's camera looks along its +z, glTF's along -z; both have y up.
-    turn = np.diag([-1.0, 1.0, -1.0, 1.0])
-    scene: dict[str, Any] = {
-        "type": "scene",
-        "sensor": {
-            "type": "perspective",
-            "to_world": mi.ScalarTransform4f((np.linalg.inv(camera.world_to_view) @ turn).tolist()),
-            "fov_axis": "y",
-            "fov": float(np.rad2deg(camera.yfov_rad)),
-            "near_clip": camera.near_m,
-            "film": {
-                "type": "hdrfilm",
-                "width": size[0],
-                "height": size[1],
-                "rfilter": {"type": "box"},
-                "pixel_format": "rgb",
-                "component_format": "float32",
-            },
-            "sampler": {"type": "multijitter"},
-        },
+    # One scene, and one kernel, for all of them.
+    sensor: dict[str, Any] = {
+        "type": "batch",
+        "film": _film(len(cameras) * size[0], size[1]),
+        "sampler": {"type": "multijitter"},
     }
+    for k, camera in enumerate(cameras):
+        sensor[f"camera{k}"] = _camera(mi, camera, size)
+    scene: dict[str, Any] = {"type": "scene", "sensor": sensor}
     sent = np.array([_sent(mesh) for mesh in meshes])
     weights = np.maximum(sent / sent.max(), LEAST_WEIGHT)
     for k, (mesh, weight) in enumerate(zip(meshes, weights, strict=True)):
         scene[f"mesh{k}"] = _mesh(mi, f"mesh{k}", mesh, bands, scale, float(weight))
     return scene
+
+
+def _camera(mi: Any, camera: GltfCamera, size: tuple[int, int]) -> dict[str, Any]:
+    # Mitsuba's camera looks along its +z, glTF's along -z; both have y up.
+    turn = np.diag([-1.0, 1.0, -1.0, 1.0])
+    return {
+        "type": "perspective",
+        "to_world": mi.ScalarTransform4f((np.linalg.inv(camera.world_to_view) @ turn).tolist()),
+        "fov_axis": "y",
+        "fov": float(np.rad2deg(camera.yfov_rad)),
+        "near_clip": camera.near_m,
+        "film": _film(*size),
+    }
+
+
+def _film(width: int, height: int) -> dict[str, Any]:
+    return {
+        "type": "hdrfilm",
+        "width": width,
+        "height": height,
+        "rfilter": {"type": "box"},
+        "pixel_format": "rgb",
+        "component_format": "float32",
+    }
 
 
 def _sent(mesh: TracedMesh) -> float:

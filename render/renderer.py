@@ -41,6 +41,7 @@ from phoslab.render.gbuffer import GBuffer, GBufferParameters
 from phoslab.render.glow import Glow
 from phoslab.render.glow_methods import find_method
 from phoslab.render.glow_transport import NONE, GlowTransport, Surroundings, TransportParameters
+from phoslab.render.gltf import GltfCamera
 from phoslab.render.gpu_scene import upload
 from phoslab.render.light_course import Segment
 from phoslab.render.passes import Pass, Picture, side_by_side
@@ -130,6 +131,7 @@ class Renderer:
         self._seen_s: float | None = None
         # Since when it has been dark where glow was last looked for: None while a light is on.
         self._dark_since_s: float | None = None
+        self._windows: Sequence[GltfCamera] = ()
         self._moving_s, self._moves_lit = moving_s(scene), moves_lit(scene)
         self.prepare()
 
@@ -163,7 +165,7 @@ class Renderer:
         ]
         if not needed:
             return None
-        surroundings = Surroundings(
+        self.surroundings = Surroundings(
             self.scene,
             self.drawables,
             [state.atlas for state in self.states],
@@ -173,7 +175,7 @@ class Renderer:
             p.supersampling,
             self.lamps,
         )
-        return find_method(p.transport.method)(device, surroundings, p.transport)
+        return find_method(p.transport.method)(device, self.surroundings, p.transport)
 
     def prepare(self) -> None:
         """Run the passes whose results hold while nothing moves."""
@@ -217,7 +219,7 @@ class Renderer:
         since = self.scene.schedule.dark_since_s(t_s)
         moved = self._placed_s != self._seen_s
         if moved:
-            self.gbuffer.run(self._pose.camera)
+            self.gbuffer.run(*(self._windows or [self._pose.camera]))
         if self.transport is not None and (moved or (self.transport.aims and since != self._dark_since_s)):
             self.prepare_transport(t_s)
         self._seen_s, self._dark_since_s = self._placed_s, since
@@ -255,6 +257,21 @@ class Renderer:
         self._see(t_s)
         for glow, state in zip(self.glows, self.states, strict=True):
             glow.run(state.shown.value)
+
+    def look_through(self, cameras: Sequence[GltfCamera]) -> None:
+        """See through other cameras than the scene's, side by side; not for ways of glow that read "camera"."""
+        self._windows, self._seen_s = cameras, None
+
+    def reflected(self, t_s: float) -> NDArray[np.float32]:
+        """Render (h, w, K) the glow that surfaces reflect at `t_s`, alone."""
+        assert self.transport is not None
+        self.light(t_s)
+        self.lamps.factors = {}
+        radiance = self.direct_light.radiance
+        self.direct_light.run(self.gbuffer, self.drawables, self.lamps.factors)
+        self.transport.run(radiance)
+        self.resolve.run(radiance)
+        return self.resolve.read()
 
     def _draw(self, factors: Mapping[str, float], states: Sequence[moderngl.Texture]) -> None:
         """Draw what the lights and the phosphors in these states give, down to pixels."""

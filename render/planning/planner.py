@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -21,6 +22,7 @@ from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.model_plan import Choices, Surface
 from phoslab.render.device import Device
+from phoslab.render.glow_methods import find_method
 from phoslab.render.glow_transport import NONE
 from phoslab.render.path_tracer import LLVM, SCALAR, usual_variant
 from phoslab.render.planning import spectrum_terms, state_terms, texel_terms, transport_terms
@@ -31,7 +33,7 @@ from phoslab.render.planning.probe import PATHS, SUPERSAMPLING, PathNoise, measu
 from phoslab.render.planning.reduced import whole
 from phoslab.render.planning.sensitivity import Sensitivity
 from phoslab.render.planning.step_terms import Stepped, judged, steps
-from phoslab.render.planning.trial import trial_error, trial_size
+from phoslab.render.planning.trial import MIDDLE, ROUNDS, SIDE, SIGMAS, Trial, trial_size
 from phoslab.render.scene import Scene
 
 Array = NDArray[np.float64]
@@ -48,8 +50,9 @@ TOLERANCES = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6)
 # From so many s on, a picture of paths is worth a closer look at how noisy they are: that takes a tenth of it.
 CLOSER_S = 20.0
 
-# Of a picture of paths: what may be spent on trying what is quicker; and how many numbers of paths that must afford.
-TRIAL, LEAST_TRIAL = 0.03, 5
+# Of a picture of paths: what may be spent on trying what is quicker. And by how much less four times the paths should at
+# least be off: noise would be by 0.25, and what windows differ by stays as it is.
+TRIAL, NO_SURER = 0.03, 0.67
 
 _Key = tuple[tuple[str, Any], ...]
 
@@ -106,10 +109,12 @@ class Planner:
     def choose(self) -> tuple[Choices, bool]:
         """Return the cheapest choices that are predicted to hold the bound; or those that err least, and False."""
         choices = self._cheapest()
-        long = choices is not None and _traces(choices) and self.predict_s(choices) > CLOSER_S
-        if (choices is None or long) and self.look_closer():
+        if choices is None and self.look_closer():
             choices = self._cheapest()
         if choices is not None and self.try_quicker(choices):
+            choices = self._cheapest()
+        long = choices is not None and _traces(choices) and self.predict_s(choices) > CLOSER_S
+        if long and self.look_closer():
             choices = self._cheapest()
         return (self._closest(), False) if choices is None else (choices, True)
 
@@ -126,28 +131,46 @@ class Planner:
         return instead is not None and self._try(choices, instead)
 
     def _try(self, quick: Choices, instead: Choices) -> bool:
-        if self.was_tried(quick.gi):
+        rounds = list(self._rounds(quick, TRIAL * self.predict_s(instead)))
+        # What depends on where the camera is cannot be looked at through windows.
+        if self.was_tried(quick.gi) or not rounds or "camera" in find_method(quick.gi["method"]).reads:
             return False
-        small = replace(
-            self._work(quick),
-            size=trial_size(self.request.size),
-            supersampling=SUPERSAMPLING,
-            times=1,
-            drawn=1,
-        )
-        traced = [
-            replace(quick, gi={"method": transport_terms.REFERENCE, "samples": n, "full": True})
-            for n in transport_terms.SAMPLES
-        ]
-        allowed_s = TRIAL * self.predict_s(instead)
-        affordable = [t for t in traced if 2 * self.costs.predict_s(t, small) <= allowed_s]
-        if len(affordable) < LEAST_TRIAL:
-            return False
-        self._tried[_key(quick.gi)] = trial_error(
-            self.pilot, self.request.bound, self.request.size, quick, affordable[-1], self._device
-        )
-        self._ways.clear()
+        with nullcontext(self._device) if self._device is not None else Device() as device:
+            trial = Trial(self.pilot, self.request.size, replace(quick, bands_nm=self._few_bands), device)
+        spread = math.inf
+        for samples in rounds:
+            trial.follow(samples)
+            if not self._holds(quick, trial.error(-SIGMAS)) or self._holds(quick, trial.error(SIGMAS)):
+                break
+            before, (_, spread) = spread, trial.square()
+            if spread > NO_SURER * before:
+                break
+        self._take(quick, trial.error(SIGMAS))
         return True
+
+    def _rounds(self, quick: Choices, allowed_s: float) -> Iterator[int]:
+        """Yield the paths of each round of a trial that can be had for so many s."""
+        few = replace(quick, bands_nm=self._few_bands)
+        work = replace(self._work(quick), supersampling=SUPERSAMPLING, times=1, drawn=1)
+        seen, traced = (replace(work, size=trial_size(self.request.size, side)) for side in (SIDE, MIDDLE))
+        paths = 0
+        for samples in ROUNDS:
+            paths += 2 * samples
+            gi = {"method": transport_terms.REFERENCE, "samples": paths, "full": True}
+            took_s = self.costs.predict_s(few, seen) + self.costs.predict_s(replace(few, gi=gi), traced)
+            if took_s > allowed_s:
+                return
+            yield samples
+
+    def _take(self, quick: Choices, error: float) -> None:
+        """Take a way to err by that of the light it reflects."""
+        self._tried[_key(quick.gi)] = error
+        self._ways.pop(_key(quick.gi), None)
+
+    def _holds(self, quick: Choices, error: float) -> bool:
+        """Whether any choices of that method would hold the bound if this one erred by so much."""
+        self._take(quick, error)
+        return self._cheapest(quick.gi["method"]) is not None
 
     def was_tried(self, gi: Mapping[str, Any]) -> bool:
         """Whether what it errs by was found in this scene."""
@@ -184,10 +207,9 @@ class Planner:
         key = _key(gi)
         if key not in self._ways:
             noise = self.path_noise if gi["method"] == transport_terms.REFERENCE else PathNoise(0.0)
-            way = transport_terms.judge(self.pilot, self.request.bound, self.costs, noise, gi)
-            if key in self._tried:
-                way = replace(way, inexact=max(self._tried[key] - way.left_out, 0.0))
-            self._ways[key] = way
+            self._ways[key] = transport_terms.judge(
+                self.pilot, self.request.bound, self.costs, noise, gi, self._tried.get(key)
+            )
         return self._ways[key]
 
     @cached_property
@@ -195,6 +217,12 @@ class Planner:
         """By their number: the best bands found, and what they err by."""
         found = spectrum_terms.fewest_bands(self.request.scene, self.pilot)
         return {n: (bands, self._band_error(each)) for n, (bands, each) in found.items()}
+
+    @cached_property
+    def _few_bands(self) -> tuple[float, ...]:
+        """The edges of the bands in which light is looked at: three, which are traced at once, if there are as many."""
+        few, _ = self.bands[min(n for n in self.bands if n >= min(3, max(self.bands)))]
+        return tuple(few.edges_nm.tolist())
 
     def band_error(self, bands: Bands) -> float:
         """Return what is lost by other bands than the scene's."""
@@ -224,8 +252,7 @@ class Planner:
         elsewhere = PathNoise(self.costs.path_noise / math.sqrt(PATHS))
         if not transport_terms.traces_paths():
             return elsewhere
-        few, _ = self.bands[min(n for n in self.bands if n >= min(3, max(self.bands)))]
-        plain = replace(whole(self.request.scene), bands_nm=tuple(few.edges_nm.tolist()))
+        plain = replace(whole(self.request.scene), bands_nm=self._few_bands)
         stepped = self.steps[0]
         choices = replace(plain, solver=stepped.solver, step_s=stepped.step_s)
         return measure_noise(self.pilot, choices, variant, device=self._device) or elsewhere

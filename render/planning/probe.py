@@ -91,7 +91,7 @@ def measure_noise(
     one, other = (
         trace(
             meshes,
-            camera,
+            [camera],
             size,
             reflections=UNLIMITED,
             samples=PATHS,

@@ -74,11 +74,19 @@ def settings(pilot: Pilot, costs: Costs) -> Iterator[dict[str, Any]]:
             yield {"method": REFERENCE, "samples": samples, "full": True}
 
 
-def judge(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise, gi: Mapping[str, Any]) -> Way:
+def judge(
+    pilot: Pilot,
+    bound: Bound,
+    costs: Costs,
+    path_noise: PathNoise,
+    gi: Mapping[str, Any],
+    tried: float | None = None,
+) -> Way:
     """Return what parameters of `--gi` are expected to err by: as the nearest that was measured.
 
     Args:
         path_noise: of so many paths a pixel, in this scene.
+        tried: mean relative error of the light that this way reflects in this scene, where that is known.
     """
     method, order = gi["method"], gi.get("bounces", 1)
     if method == NONE:
@@ -91,10 +99,15 @@ def judge(pilot: Pilot, bound: Bound, costs: Costs, path_noise: PathNoise, gi: M
             0.0 if endless else _left_out(pilot, bound, order),
             _inexact(pilot, bound, None if endless else order, noise, pattern=path_noise.pattern),
         )
-    alike = [m for m in costs.gi if m.method == method]
-    nearest = min(alike, key=lambda m: unlike(m.parameters, gi), default=None)
-    error = 1.0 if nearest is None else nearest.error
+    error = _measured(costs, gi) if tried is None else tried
     return Way(gi, _left_out(pilot, bound, order), _inexact(pilot, bound, order, error, _sureness(pilot)))
+
+
+def _measured(costs: Costs, gi: Mapping[str, Any]) -> float:
+    """Return the error of what was measured that is nearest; 1 where nothing was."""
+    alike = [m for m in costs.gi if m.method == gi["method"]]
+    nearest = min(alike, key=lambda m: unlike(m.parameters, gi), default=None)
+    return 1.0 if nearest is None else nearest.error
 
 
 def _left_out(pilot: Pilot, bound: Bound, reflections: int) -> float:

@@ -1,60 +1,193 @@
-"""What a quick way to transport glow errs by in one scene: a small picture of it, held to one of paths.
+"""What a quick way to transport glow errs by in one scene: some windows of its picture, held to paths.
 
 What was measured elsewhere is that of the worst scene. Where a plan would trace paths for minutes, a little of that
-time tells what the quick way does here. Pixels are few, so that a filter over some of them blurs more than in the
-picture itself: the quick way looks worse than it is. The noise of the paths is known from two pictures of them, and
-taken off.
+time tells what the quick way does here: in windows that are spread over the picture, as fine as the picture is, since
+a filter blurs more where pixels are larger, and so large that a filter's reach does not end in their middles, which are
+compared. Paths that end after as many reflections as the quick way has are traced twice, so that their noise is known,
+and taken off; and in rounds, each of more of them, so that no more are traced than tell whether it will do.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phoslab.colorimetry import xyz_matrix
 from phoslab.model_plan import Choices
 from phoslab.render.device import Device
-from phoslab.render.planning.bounds import Bound
-from phoslab.render.planning.drawn import render_choices
+from phoslab.render.gltf import GltfCamera
+from phoslab.render.path_tracer import LLVM, trace, usual_variant
+from phoslab.render.phosphor_state import Stepping
 from phoslab.render.planning.pilot import Pilot
 from phoslab.render.planning.probe import SUPERSAMPLING, most_reflected
+from phoslab.render.planning.reduced import apply, transport_parameters
+from phoslab.render.reference import Reference
+from phoslab.render.renderer import Renderer, RenderParameters
 
-# Pixels along the longer side.
-SIDE = 96
+Array = NDArray[np.float64]
 
-# Squares of errors and of noise add where they are alike. How far that may be off, as a share of the noise.
-UNSURE = 0.3
+# Windows along each side of the picture, pixels along the side of one (whole tiles of `tiles`), and of its middle.
+# Errors differ more between windows than in them: many small ones tell more than few large ones.
+WINDOWS, SIDE, MIDDLE = 8, 16, 8
+
+# Paths a pixel of each round, which add up; and the most at once: Mitsuba compiles for every number of paths anew,
+# which takes as long as half a dozen small runs of what it compiled before.
+ROUNDS = (64, 256, 1024, 4096)
+AT_ONCE = 256
+
+# By how many standard errors the truth may lie beside what was found: one in 40 lies further on one side.
+SIGMAS = 2.0
 
 
-def trial_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Return the size of the small picture of a large one."""
-    shrink = max(1.0, max(size) / SIDE)
-    return max(1, round(size[0] / shrink)), max(1, round(size[1] / shrink))
-
-
-def trial_error(
-    pilot: Pilot, bound: Bound, size: tuple[int, int], quick: Choices, truth: Choices, device: Device | None
-) -> float:
-    """Return what a quick way errs by, in the bound's unit, when reflected glow is the most of the light.
+class Trial:
+    """Windows of a picture by a quick way to transport glow, beside more and more paths.
 
     Args:
-        size: of the picture that is asked for.
-        quick, truth: they differ in how glow is transported.
+        pilot: at whose moment with the most reflected glow they are compared.
+        size: of the whole picture.
+        quick: how the scene is modelled; bands that are few do, since light of all goes the same ways.
     """
-    at = most_reflected(pilot)
-    moment, exposure = float(pilot.moments[at]), pilot.exposures[at]
 
-    def picture(choices: Choices) -> NDArray[np.floating]:
-        small = trial_size(size)
-        frames = render_choices(
-            pilot.scene, choices, [moment], small, supersampling=SUPERSAMPLING, device=device
+    def __init__(self, pilot: Pilot, size: tuple[int, int], quick: Choices, device: Device) -> None:
+        moment = float(pilot.moments[most_reflected(pilot)])
+        scene = apply(pilot.scene, quick)
+        cameras, (width, height) = windows(scene.camera, size)
+        self._cameras, self._size = windows(scene.camera, size, MIDDLE)
+        self._to_xyz = xyz_matrix(scene.transport)
+        transport = transport_parameters(quick)
+        self._reflections = transport.bounces
+        parameters = RenderParameters(
+            (len(cameras) * width, height),
+            SUPERSAMPLING,
+            stepping=Stepping(quick.solver, quick.step_s, quick.state_format),
+            transport=transport,
         )
-        return frames[0].xyz
+        with device.scope():
+            renderer = Renderer(device, scene, parameters)
+            renderer.look_through(cameras)
+            self._quick = self._middles(renderer.reflected(moment) @ self._to_xyz)
+            self._meshes = Reference(device, renderer.surroundings, transport).meshes()
+        # Where paths begin in the same places each time, light that comes straight is the same each time, too.
+        self._straight = np.zeros_like(self._quick)
+        self._subtracts = usual_variant() != LLVM
+        if not self._subtracts:
+            self._straight = self._trace(SUPERSAMPLING**2, 0, reflections=0, direct=True)
+        self._traced = [np.zeros_like(self._quick) for _ in range(2)]
+        self._paths = 0
 
-    one, other = (picture(replace(truth, gi={**truth.gi, "seed": seed})) for seed in (1, 2))
-    off = bound.error(picture(quick), (one + other) / 2, exposure)
-    # The difference of two has sqrt(2) of the noise of one, which is sqrt(2) of that of their mean.
-    noise = bound.error(one, other, exposure) / 2
-    return math.sqrt(max(off**2 - noise**2, 0.0) + (UNSURE * noise) ** 2)
+    def _middles(self, picture: Array) -> Array:
+        """Return (h, n w, K) the middles of windows of a picture."""
+        width, height = self._size
+        parts = picture.reshape(picture.shape[0], len(self._cameras), -1, picture.shape[-1])
+        rim = (parts.shape[0] - height) // 2
+        return parts[rim : rim + height, :, rim : rim + width].reshape(height, -1, picture.shape[-1])
+
+    def follow(self, samples: int) -> None:
+        """Trace so many more paths a pixel, for each of the two pictures."""
+        for k in range(2):
+            more = self._trace(
+                samples, 2 * samples + k, reflections=self._reflections, direct=not self._subtracts
+            )
+            share = samples / (self._paths + samples)
+            self._traced[k] += share * (more - self._straight - self._traced[k])
+        self._paths += samples
+
+    def _trace(self, samples: int, seed: int, **what: Any) -> Array:
+        """Return XYZ of the windows' middles by so many paths a pixel."""
+        radiance = trace(
+            self._meshes,
+            self._cameras,
+            self._size,
+            samples=samples,
+            at_once=AT_ONCE,
+            seed=seed,
+            grid=SUPERSAMPLING,
+            **what,
+        )
+        return np.asarray(radiance @ self._to_xyz, dtype=np.float64)
+
+    def error(self, sigmas: float = 0.0) -> float:
+        """Return mean |a - b| / mean b of reflected light, and so many standard errors more."""
+        square, spread = self.square()
+        return math.sqrt(max(square + sigmas * spread, 0.0))
+
+    def square(self) -> tuple[float, float]:
+        """Return the square of the error, and its standard error.
+
+        Squares of errors and of noise add where both are alike. Windows are independent samples of the picture.
+        """
+        one, other = self._traced
+        truth = (one + other) / 2
+        light = self._by_part(truth)
+        if light.mean() <= 0:
+            return math.inf, 0.0
+        # The difference of two has sqrt(2) of the noise of one, which is sqrt(2) of that of their mean.
+        off, noise = (
+            self._by_part(np.abs(d)) / light.mean() for d in (self._quick - truth, (one - other) / 2)
+        )
+        square = off.mean() ** 2 - noise.mean() ** 2
+        brightness = light / light.mean()
+        of_each = 2 * off.mean() * (off - off.mean() * brightness)
+        of_each -= 2 * noise.mean() * (noise - noise.mean() * brightness)
+        return float(square), float(of_each.std(ddof=1) / math.sqrt(of_each.size))
+
+    def _by_part(self, picture: Array) -> Array:
+        """Return the means of the windows, or of as many parts of the only one."""
+        rows = 1 if len(self._cameras) > 1 else WINDOWS
+        columns = max(len(self._cameras), WINDOWS)
+        parts = [
+            part.mean()
+            for row in np.array_split(picture, rows)
+            for part in np.array_split(row, columns, axis=1)
+        ]
+        return np.array(parts)
+
+
+def trial_size(size: tuple[int, int], side: int = SIDE) -> tuple[int, int]:
+    """Return the size of a picture with as many pixels as the windows of one of `size` have."""
+    return size if min(_cell(size)) < SIDE else (WINDOWS * side, WINDOWS * side)
+
+
+def windows(
+    camera: GltfCamera, size: tuple[int, int], side: int = SIDE
+) -> tuple[list[GltfCamera], tuple[int, int]]:
+    """Return cameras that see windows of a picture, spread evenly and at random, and the size of each.
+
+    One whose pixels are as large as those in the window's middle looks straight at it. A small picture is one window.
+
+    Args:
+        size: (width, height) of the picture.
+        side: pixels along the side of what is seen of a window, around its middle.
+    """
+    cell = _cell(size)
+    if min(cell) < SIDE:
+        return [camera], size
+    focal_px = size[1] / 2 / math.tan(camera.yfov_rad / 2)
+    rng = np.random.default_rng(0)
+    found = []
+    for row, column in np.ndindex(WINDOWS, WINDOWS):
+        corner = np.array([column, row]) * cell + rng.random(2) * (np.array(cell) - SIDE)
+        x, y = corner + SIDE / 2 - np.array(size) / 2
+        forward = np.array([x, -y, -focal_px]) / math.hypot(x, y, focal_px)
+        right = np.cross(forward, [0.0, 1.0, 0.0])
+        right /= np.linalg.norm(right)
+        turn = np.eye(4)
+        turn[:3, :3] = [right, np.cross(right, forward), -forward]
+        # A pixel far from the middle is seen under a smaller angle: its area falls with the cosine's third power.
+        own_focal_px = focal_px / (focal_px / math.hypot(x, y, focal_px)) ** 1.5
+        found.append(
+            replace(
+                camera,
+                world_to_view=turn @ camera.world_to_view,
+                yfov_rad=2 * math.atan(side / 2 / own_focal_px),
+            )
+        )
+    return found, (side, side)
+
+
+def _cell(size: tuple[int, int]) -> tuple[float, float]:
+    return size[0] / WINDOWS, size[1] / WINDOWS

@@ -54,7 +54,7 @@ class Traced:
         if self._meshes:
             radiance = radiance + trace(
                 self._meshes,
-                self._camera,
+                [self._camera],
                 self._size,
                 reflections=UNLIMITED,
                 samples=samples,

@@ -1,4 +1,4 @@
-"""Measure deep screen space: python tests/benchmarks/shell_splat.py [SCENE]
+"""Measure the passes of glow: python tests/benchmarks/shell_splat.py [SCENE]
 
 Fragments a second of the splats, beside those of a shader that only writes one colour into the same targets; what a
 surfel costs, from ten thousand to a million; what each stage takes of a core; and the memory that the passes take at
@@ -20,13 +20,16 @@ import numpy as np
 
 from phoslab.render import TransportParameters, bounced_z_buffer, deep_screen_space, load_scene
 from phoslab.render.bounced_z_buffer import BouncedZBuffer
+from phoslab.render.cell_glow import CellGlow
 from phoslab.render.deep_screen_space import DeepScreenSpace
 from phoslab.render.device import Device, source
 from phoslab.render.glow_pixels import GlowPixels
+from phoslab.render.lit_cells import LitCells
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.render.shells import ShellLevels
 from phoslab.render.surfel_glow import SurfelGlow
 from phoslab.render.surfels import View, surfelize
+from phoslab.render.tiles import Tiles
 from phoslab.sample_data.make_scenes import SCENES
 
 RUNS = 5
@@ -135,6 +138,14 @@ STAGES = [
     (BouncedZBuffer, "_splat"),
     (BouncedZBuffer, "_find_hits"),
     (BouncedZBuffer, "run"),
+    (LitCells, "place"),
+    (Tiles, "_bound_groups"),
+    (Tiles, "_choose_aims"),
+    (Tiles, "_find_hits"),
+    (Tiles, "_find_guide"),
+    (Tiles, "run"),
+    (CellGlow, "run"),
+    (GlowPixels, "shares"),
     (GlowPixels, "blur"),
     (GlowPixels, "filter"),
     (GlowPixels, "reflect"),
@@ -160,24 +171,27 @@ def measure_stages(scene: Any) -> None:
 
         return run
 
-    for method in ("dss", "dss-z"):
+    for method in ("dss", "dss-z", "tiles"):
         with Device() as device:
             transport = TransportParameters(method, directions=4)
             renderer = Renderer(device, scene, RenderParameters(SIZE, 1, transport=transport))
             renderer.frame(scene.schedule.parse_time("off+1s"))
+            way = renderer.transport
+            made = f"{len(way.cells.skip)} cells" if method == "tiles" else f"{way.surfels.count} surfels"
             plain = [(owner, name, getattr(owner, name)) for owner, name in STAGES]
             each: list[dict[str, float]] = []
             for owner, name, step in plain:
                 setattr(owner, name, watched(f"{owner.__name__.split('.')[-1]}.{name}", step, device))
             for _ in range(RUNS):
                 spent.clear()
-                renderer.transport.prepare()
-                renderer.transport.run(renderer.direct_light.radiance)
+                if isinstance(way, Tiles):  # as if things had moved
+                    way.lit_cells._placed.clear()
+                way.prepare()
+                way.run(renderer.direct_light.radiance)
                 each.append(dict(spent))
             for owner, name, step in plain:
                 setattr(owner, name, step)
-            held = renderer.transport
-            print(f"{method}: {held.surfels.count} surfels, {held.shells.levels} levels; ms of a core")
+            print(f"{method}: {made}; ms of a core")
             for name in each[0]:
                 print(f"    {name:40} {1e3 * median(e[name] for e in each):9.1f}")
 

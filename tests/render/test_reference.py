@@ -40,7 +40,7 @@ def test_each_reflection_adds_half_of_what_the_one_before_added(build, rooms, de
     )
     renderer.frame(0.0)
     L = path_tracer.trace(
-        renderer.transport.meshes(), scene.camera, (8, 8), reflections=reflections, samples=1024
+        renderer.transport.meshes(), [scene.camera], (8, 8), reflections=reflections, samples=1024
     )
     # As above, with 8² pixels x 1024 samples.
     assert L.mean() == pytest.approx(want, abs=1e-2)
@@ -66,7 +66,7 @@ def test_what_the_camera_sees_is_what_the_renderer_sees():
         renderer = Renderer(device, scene, p)
         want = renderer.frame(21.0).radiance - renderer.transport.reflected
         got = path_tracer.trace(
-            renderer.transport.meshes(), scene.camera, (96, 96), reflections=0, samples=64
+            renderer.transport.meshes(), [scene.camera], (96, 96), reflections=0, samples=64
         )
     bright = want.max(axis=-1) > 0.2 * want.max()
     for axis in (0, 1):  # not at an edge
@@ -105,7 +105,7 @@ def test_paths_begin_where_the_renderer_samples_a_pixel():
         meshes = renderer.transport.meshes()
     same, middle = (
         np.abs(
-            path_tracer.trace(meshes, scene.camera, size, reflections=0, samples=4, grid=grid) - want
+            path_tracer.trace(meshes, [scene.camera], size, reflections=0, samples=4, grid=grid) - want
         ).mean()
         for grid in (2, 1)
     )

@@ -219,7 +219,8 @@ def test_tiles_agree_with_the_path_tracer(name, tmp_path):
         renderer.transport = None
         direct = renderer.frame(t).radiance
     one, two = (
-        direct + trace(meshes, scene.camera, size, reflections=1, samples=64, seed=seed, direct=False, grid=3)
+        direct
+        + trace(meshes, [scene.camera], size, reflections=1, samples=64, seed=seed, direct=False, grid=3)
         for seed in (0, 1000)
     )
     inner = seen.min(axis=(1, 3)) == seen.max(axis=(1, 3))

@@ -254,8 +254,8 @@ class _Bench:
             more: of `trace`, in place of one reflection alone.
         """
         how = {"reflections": 1, "direct": False, **more}
-        meshes, camera = reference.meshes(white=white), self._scene.camera
-        return trace(meshes, camera, self._size, samples=samples, seed=seed, grid=SUPERSAMPLING, **how)
+        meshes, cameras = reference.meshes(white=white), [self._scene.camera]
+        return trace(meshes, cameras, self._size, samples=samples, seed=seed, grid=SUPERSAMPLING, **how)
 
     def _timed(self, reference: Reference, samples: int, **more: Any) -> tuple[Floats, float]:
         """Return all light by so many paths a pixel, and its time: what comes directly is not traced a second time."""

@@ -200,7 +200,7 @@ def _path_costs(device: Device, case: Case, plain: Choices) -> dict[str, dict[st
             begin = clock()
             trace(
                 meshes,
-                camera,
+                [camera],
                 case.size,
                 reflections=UNLIMITED,
                 samples=samples,
