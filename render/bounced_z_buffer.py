@@ -54,6 +54,7 @@ class BouncedZBuffer:
     aims: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = (
         "meshes",
+        "camera",
         "position_w",
         "normal_w",
         "uv",

@@ -42,6 +42,7 @@ class DeepScreenSpace:
     aims: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = (
         "meshes",
+        "camera",
         "position_w",
         "normal_w",
         "uv",

@@ -139,10 +139,12 @@ class GlowTransport(Protocol):
     """One way to bring glow to the surfaces that the camera sees.
 
     Attributes:
+        reads: what of the scene, the G-buffer and the atlases it takes; "camera": it asks where that is.
         aims: whether it looks for what glows brightly: then it is prepared anew where it has gone dark.
     """
 
     name: ClassVar[str]
+    reads: ClassVar[tuple[str, ...]]
     aims: ClassVar[bool]
 
     def __init__(

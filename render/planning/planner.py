@@ -50,8 +50,8 @@ TOLERANCES = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6)
 # From so many s on, a picture of paths is worth a closer look at how noisy they are: that takes a tenth of it.
 CLOSER_S = 20.0
 
-# Of a picture of paths: what may be spent on trying what is quicker. And by how much less four times the paths should at
-# least be off: noise would be by 0.25, and what windows differ by stays as it is.
+# Of a picture of paths: what may be spent on trying what is quicker. And what four times the paths should leave of a
+# trial's spread at most, if more are to follow: noise would fall to 0.25, and what windows differ by stays as it is.
 TRIAL, NO_SURER = 0.03, 0.67
 
 _Key = tuple[tuple[str, Any], ...]
