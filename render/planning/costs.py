@@ -19,6 +19,9 @@ from phoslab.render.optics import layer_count
 from phoslab.render.path_tracer import usual_variant
 from phoslab.render.scene import Scene
 
+# Of a trade from before it was measured: rooms of some boxes, in pictures of 64 pixels along a side.
+USUAL_UNEVENNESS = 0.05
+
 
 @dataclass(frozen=True)
 class MeasuredWay:
@@ -38,6 +41,7 @@ class Costs:
     Args:
         texel_error, texel_power: glow is off by texel_error x^texel_power with texels of x pixels.
         gi: ways that reflect glow.
+        unevenness: of the scenes in which `gi` was measured, that of the worst (`Pilot.reflected_unevenly`).
         path_noise: mean relative error of reflected glow with one path a pixel; it falls with the root of their number.
         costs_s: s for each of `features`; those of paths are of the variant of Mitsuba that this machine takes.
     """
@@ -47,6 +51,7 @@ class Costs:
     gi: tuple[MeasuredWay, ...]
     path_noise: float
     costs_s: dict[str, float]
+    unevenness: float = USUAL_UNEVENNESS
 
     def predict_s(self, choices: Choices, work: Work) -> float:
         """Return the predicted time of all pictures in s."""
@@ -87,6 +92,7 @@ def load_costs(path: str | PathLike[str] | None = None) -> Costs:
         gi=tuple(_way(way, k, path) for k, way in enumerate(data["gi"])),
         path_noise=data["path_noise"],
         costs_s={**data["costs_s"], **_of_paths(data)},
+        unevenness=data.get("unevenness", USUAL_UNEVENNESS),
     )
 
 

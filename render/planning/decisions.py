@@ -160,13 +160,13 @@ def _outside(planner: Planner) -> Iterator[Term]:
         )
     share = recharging(planner.pilot)
     if share > MATTERS:
+        regained = "all" if share >= 1 else f"at most {share:.1%}"
         yield Term(
             "glow excites",
             "no",
             None,
             OUTSIDE,
-            f"phosphors charging each other would win back at most {share:.1%} of what they lose: "
-            "render --glow-excites",
+            f"phosphors charging each other could win back {regained} of what they lose: render --glow-excites",
         )
 
 

@@ -41,6 +41,9 @@ MOST_WALKS = 64
 # What none of n samples met is, 19 times of 20, rarer than this over n (the rule of three).
 UNMET = 3.0
 
+# Rays around each that is sent through a pixel, half a pixel of the picture away.
+AROUND = 4
+
 # After so many reflections a walk goes on by chance, and counts for more if it does.
 SURE_REFLECTIONS = 3
 
@@ -79,6 +82,8 @@ class Pilot:
         from_each: (T, P, 3) the XYZ of each drawable's glow, straight and reflected, by the drawable's number.
         brightest: (T, 3) XYZ of the brightest glow that was met.
         whiteness: (P,) mean reflectance of what is seen.
+        unevenness: (P,) how much a pixel of the picture sees beside what is in its middle: the share of rays half a
+            pixel away that meet another drawable, or nothing, and the mean of |n - n'| of the others.
         walks: how many walks were sent.
         sampled: by the number of the drawable.
         visible: (D,) share of the pixels in which each drawable is seen.
@@ -96,6 +101,7 @@ class Pilot:
     from_each: dict[int, Array]
     brightest: Array
     whiteness: Array
+    unevenness: Array
     walks: int
     sampled: dict[int, Sampled]
     visible: Array
@@ -150,6 +156,11 @@ class Pilot:
         reflected = (self.bounces.sum(axis=0) @ self.to_xyz).sum(axis=-1)
         error: Array = reflected.std(axis=-1) / np.sqrt(reflected.shape[-1])
         return error
+
+    def reflected_unevenly(self) -> float:
+        """Return the mean of the unevenness, weighted by the glow that is reflected, at all moments."""
+        reflected = (self.bounces.sum(axis=(0, 1)) @ self.to_xyz).sum(axis=-1)
+        return float(reflected @ self.unevenness / max(reflected.sum(), 1e-300))
 
     def unmet(self, reflections: int) -> Array:
         """Return (T, h, w, 3) XYZ that glow after more reflections may bring though no walk met it: bright and rare."""
@@ -218,6 +229,7 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
         from_each=from_each,
         brightest=brightest,
         whiteness=whiteness,
+        unevenness=_unevenness(scene, triangles, seen, pixel, eye, direction, size),
         walks=walks * len(pixel),
         sampled=sampled,
         visible=np.bincount(seen.drawable, minlength=D) / n_pixels,
@@ -291,6 +303,34 @@ def _glow(
     r = charged(scene.schedule, phosphor.initial, drive, kr, per_light(ke, scene), at)
     L: Array = np.einsum("tnc,nc,nck->tnk", r, kr, emission)
     return Sampled(phosphor, drive, kr, ke, emission, r, L @ xyz_matrix(scene.transport)), L
+
+
+def _unevenness(
+    scene: Scene,
+    triangles: Triangles,
+    seen: Points,
+    pixel: Index,
+    eye: Array,
+    direction: Array,
+    size: tuple[int, int],
+) -> Array:
+    """Return (P,) how much what a pixel sees differs within it; 0 where its middle sees nothing."""
+    # Numbers of its own, so that walks are the same whether this is asked for or not.
+    rng = np.random.default_rng(0)
+    half_a_pixel = np.tan(scene.camera.yfov_rad / 2) / size[1]
+    found = np.zeros(len(direction))
+    for _ in range(AROUND):
+        aside = rng.normal(size=(len(pixel), 3))
+        aside -= np.einsum("ij,ij->i", aside, direction[pixel])[:, None] * direction[pixel]
+        aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+        towards = direction[pixel] + half_a_pixel * aside
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        beside, which = meet(triangles, np.broadcast_to(eye, towards.shape), towards)
+        differs = np.ones(len(pixel))
+        turned = np.linalg.norm(beside.towards - seen.towards[which], axis=1)
+        differs[which] = np.where(beside.drawable == seen.drawable[which], turned, 1.0)
+        found[pixel] += differs / AROUND
+    return found
 
 
 def _sides(

@@ -99,15 +99,19 @@ def judge(
             0.0 if endless else _left_out(pilot, bound, order),
             _inexact(pilot, bound, None if endless else order, noise, pattern=path_noise.pattern),
         )
-    error = _measured(costs, gi) if tried is None else tried
+    error = _measured(pilot, costs, gi) if tried is None else tried
     return Way(gi, _left_out(pilot, bound, order), _inexact(pilot, bound, order, error, _sureness(pilot)))
 
 
-def _measured(costs: Costs, gi: Mapping[str, Any]) -> float:
-    """Return the error of what was measured that is nearest; 1 where nothing was."""
+def _measured(pilot: Pilot, costs: Costs, gi: Mapping[str, Any]) -> float:
+    """Return the error of what was measured that is nearest; 1 where nothing was.
+
+    Other ways than paths find light for one place in a pixel: it is larger where a pixel sees more that is unlike.
+    """
     alike = [m for m in costs.gi if m.method == gi["method"]]
     nearest = min(alike, key=lambda m: unlike(m.parameters, gi), default=None)
-    return 1.0 if nearest is None else nearest.error
+    uneven = max(1.0, pilot.reflected_unevenly() / costs.unevenness)
+    return 1.0 if nearest is None else nearest.error * uneven
 
 
 def _left_out(pilot: Pilot, bound: Bound, reflections: int) -> float:

@@ -48,6 +48,9 @@ Progress = Callable[[int, int], None]
 
 SCENES = ("cornell", "occluder", "corridor")
 SIDE, QUICK_SIDE = 64, 32
+
+# Scenes that are more even than that tell nothing of others.
+LEAST_UNEVENNESS = 0.01
 TRUTH_SAMPLES, QUICK_TRUTH_SAMPLES = 512, 64
 SAMPLES = (8, 32, 128)
 
@@ -107,7 +110,13 @@ def measure(
             runs += own
             learnt.append(known)
     progress(len(cases), len(cases))
-    data = {"quick": quick, **_conclusions(runs, learnt), "points": [vars(p) for p in points]}
+    uneven = max(LEAST_UNEVENNESS, *(case.pilot.reflected_unevenly() for case in cases))
+    data = {
+        "quick": quick,
+        "unevenness": uneven,
+        **_conclusions(runs, learnt),
+        "points": [vars(p) for p in points],
+    }
     summary, sections = model_page.summary(points), model_page.sections(points, data)
     title = "What to model: speed against accuracy"
     return summary, write_trade(folder, "model", title, summary, sections, data, gl=gl)
