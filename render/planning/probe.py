@@ -34,6 +34,9 @@ Array = NDArray[np.float64]
 # Of the probe: paths a pixel, texels along the side of a state, samples along that of a pixel, texels of a shadow map.
 PATHS, TEXELS, SUPERSAMPLING, SHADOW_TEXELS = 16, 32, 2, 256
 
+# What the noise may be off by, in standard errors: one in 40 is worse.
+SIGMAS = 2.0
+
 # With fewer paths than the probe's: the power at which noise falls. In eight drawn scenes 0.63 to 0.75 from 4 to 16.
 STRATIFIED = 0.75
 
@@ -43,11 +46,14 @@ class PathNoise:
     """How noisy reflected glow is.
 
     Args:
-        of_probe: mean relative error with `PATHS` paths a pixel.
+        of_probe: mean relative error with `PATHS` paths a pixel, at most: where a few pixels have most of it, it is
+            less well known.
+        spread: of the mean over the probe's pixels, the standard error, as a share.
         pattern: (h, w, 3) noise of the pilot's picture, its mean absolute value being 1; None: not known.
     """
 
     of_probe: float
+    spread: float = 0.0
     pattern: Array | None = None
 
     def of(self, samples: int) -> float:
@@ -110,8 +116,13 @@ def measure_noise(
         return None
     # The difference of two has the noise of both.
     noise = np.asarray(one - other, dtype=np.float64)
-    size_of_noise = float(np.abs(noise).mean())
-    return PathNoise(size_of_noise / np.sqrt(2) / brightness, noise / max(size_of_noise, 1e-300))
+    each = np.abs(noise).mean(axis=-1)
+    mean, spread = float(each.mean()), float(each.std() / np.sqrt(each.size))
+    return PathNoise(
+        (mean + SIGMAS * spread) / np.sqrt(2) / brightness,
+        spread / max(mean, 1e-300),
+        noise / max(mean, 1e-300),
+    )
 
 
 def most_reflected(pilot: Pilot) -> int:
