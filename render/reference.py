@@ -51,8 +51,8 @@ class Reference:
         around, p = self._around, self._parameters
         self.reflected = trace(
             self.meshes(),
-            around.gbuffer.cameras,
-            (around.size[0] // len(around.gbuffer.cameras), around.size[1]),
+            [around.gbuffer.camera],
+            around.size,
             reflections=UNLIMITED if p.full else p.bounces,
             samples=p.samples,
             seed=p.seed,

@@ -163,8 +163,6 @@ class Renderer:
         self.glows = [
             AtlasGlow(device, s.drawable, s.atlas, self.scene.transport.n) for s in self.states if lit
         ]
-        if not needed:
-            return None
         self.surroundings = Surroundings(
             self.scene,
             self.drawables,
@@ -175,6 +173,8 @@ class Renderer:
             p.supersampling,
             self.lamps,
         )
+        if not needed:
+            return None
         return find_method(p.transport.method)(device, self.surroundings, p.transport)
 
     def prepare(self) -> None:
@@ -259,11 +259,14 @@ class Renderer:
             glow.run(state.shown.value)
 
     def look_through(self, cameras: Sequence[GltfCamera]) -> None:
-        """See through other cameras than the scene's, side by side; not for ways of glow that read "camera"."""
+        """See through other cameras than the scene's, side by side in parts of equal width; none: through the scene's.
+
+        Not for ways of glow that read "camera".
+        """
         self._windows, self._seen_s = cameras, None
 
     def reflected(self, t_s: float) -> NDArray[np.float32]:
-        """Render (h, w, K) the glow that surfaces reflect at `t_s`, alone."""
+        """Render (h, w, K) the glow that surfaces reflect at `t_s`, alone, where it is transported."""
         assert self.transport is not None
         self.light(t_s)
         self.lamps.factors = {}

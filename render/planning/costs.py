@@ -41,7 +41,7 @@ class Costs:
     Args:
         texel_error, texel_power: glow is off by texel_error x^texel_power with texels of x pixels.
         gi: ways that reflect glow.
-        unevenness: of the scenes in which `gi` was measured, that of the worst (`Pilot.reflected_unevenly`).
+        unevenness: of the scenes in which `gi` was measured, that of the worst (`Pilot.reflected_unevenness`).
         path_noise: mean relative error of reflected glow with one path a pixel; it falls with the root of their number.
         costs_s: s for each of `features`; those of paths are of the variant of Mitsuba that this machine takes.
     """

@@ -157,8 +157,9 @@ class Pilot:
         error: Array = reflected.std(axis=-1) / np.sqrt(reflected.shape[-1])
         return error
 
-    def reflected_unevenly(self) -> float:
-        """Return the mean of the unevenness, weighted by the glow that is reflected, at all moments."""
+    @cached_property
+    def reflected_unevenness(self) -> float:
+        """The mean of the unevenness, weighted by the glow that is reflected, at all moments."""
         reflected = (self.bounces.sum(axis=(0, 1)) @ self.to_xyz).sum(axis=-1)
         return float(reflected @ self.unevenness / max(reflected.sum(), 1e-300))
 

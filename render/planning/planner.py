@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +22,6 @@ from phoslab.bands import Bands
 from phoslab.errors import PhoslabError
 from phoslab.model_plan import Choices, Surface
 from phoslab.render.device import Device
-from phoslab.render.glow_methods import find_method
 from phoslab.render.glow_transport import NONE
 from phoslab.render.path_tracer import LLVM, SCALAR, usual_variant
 from phoslab.render.planning import spectrum_terms, state_terms, texel_terms, transport_terms
@@ -33,7 +32,7 @@ from phoslab.render.planning.probe import PATHS, SUPERSAMPLING, PathNoise, measu
 from phoslab.render.planning.reduced import whole
 from phoslab.render.planning.sensitivity import Sensitivity
 from phoslab.render.planning.step_terms import Stepped, judged, steps
-from phoslab.render.planning.trial import MIDDLE, ROUNDS, SIDE, SIGMAS, Trial, trial_size
+from phoslab.render.planning.trial import MIDDLE, ROUNDS, SIDE, Trial, can_try, trial_size
 from phoslab.render.scene import Scene
 
 Array = NDArray[np.float64]
@@ -120,32 +119,43 @@ class Planner:
 
     def try_quicker(self, choices: Choices) -> bool:
         """Try here what would be quicker than paths, if they take long; return whether there is more to know."""
-        quick = self.rival(choices) if _traces(choices) else None
-        return quick is not None and self._try(quick, choices)
+        quick = self.rival(choices, can_try) if _traces(choices) else None
+        left = BUDGET * self.request.bound.value - min(error for _, error in self._rest)
+        return quick is not None and self._try(quick, choices, left)
 
     def try_out(self, choices: Choices) -> bool:
         """Try a way here that stands for paths which would take long; return whether there is more to know."""
         if _traces(choices) or choices.gi["method"] == NONE:
             return False
         instead = self._cheapest(transport_terms.REFERENCE)
-        return instead is not None and self._try(choices, instead)
+        own = self.band_error(Bands(np.array(choices.bands_nm))) + self.step_error(self.stepped(choices))
+        left = self.request.bound.value - own - sum(self._surface_errors(choices.surfaces))
+        return instead is not None and can_try(choices.gi) and self._try(choices, instead, left)
 
-    def _try(self, quick: Choices, instead: Choices) -> bool:
+    def _try(self, quick: Choices, instead: Choices, left: float) -> bool:
+        """Try a way for no longer than it takes to tell whether it adds less than is left of the bound."""
         rounds = list(self._rounds(quick, TRIAL * self.predict_s(instead)))
-        # What depends on where the camera is cannot be looked at through windows.
-        if self.was_tried(quick.gi) or not rounds or "camera" in find_method(quick.gi["method"]).reads:
+        glows = any(surface.glows for surface in quick.surfaces.values())
+        if self.was_tried(quick.gi) or not rounds or not glows:
             return False
         with nullcontext(self._device) if self._device is not None else Device() as device:
             trial = Trial(self.pilot, self.request.size, replace(quick, bands_nm=self._few_bands), device)
         spread = math.inf
         for samples in rounds:
             trial.follow(samples)
-            if not self._holds(quick, trial.error(-SIGMAS)) or self._holds(quick, trial.error(SIGMAS)):
+            found = trial.found()
+            if found is None:
+                return False
+            if (
+                self._judge(quick.gi, found.at_least).error > left
+                or self._judge(quick.gi, found.at_most).error <= left
+            ):
                 break
-            before, (_, spread) = spread, trial.square()
-            if spread > NO_SURER * before:
+            if found.spread > NO_SURER * spread:
                 break
-        self._take(quick, trial.error(SIGMAS))
+            spread = found.spread
+        self._tried[_key(quick.gi)] = found.at_most
+        self._ways.pop(_key(quick.gi), None)
         return True
 
     def _rounds(self, quick: Choices, allowed_s: float) -> Iterator[int]:
@@ -161,16 +171,6 @@ class Planner:
             if took_s > allowed_s:
                 return
             yield samples
-
-    def _take(self, quick: Choices, error: float) -> None:
-        """Take a way to err by that of the light it reflects."""
-        self._tried[_key(quick.gi)] = error
-        self._ways.pop(_key(quick.gi), None)
-
-    def _holds(self, quick: Choices, error: float) -> bool:
-        """Whether any choices of that method would hold the bound if this one erred by so much."""
-        self._take(quick, error)
-        return self._cheapest(quick.gi["method"]) is not None
 
     def was_tried(self, gi: Mapping[str, Any]) -> bool:
         """Whether what it errs by was found in this scene."""
@@ -206,11 +206,12 @@ class Planner:
         """Return what parameters of `--gi` err by here. How noisy paths are is looked at when it is first asked for."""
         key = _key(gi)
         if key not in self._ways:
-            noise = self.path_noise if gi["method"] == transport_terms.REFERENCE else PathNoise(0.0)
-            self._ways[key] = transport_terms.judge(
-                self.pilot, self.request.bound, self.costs, noise, gi, self._tried.get(key)
-            )
+            self._ways[key] = self._judge(gi, self._tried.get(key))
         return self._ways[key]
+
+    def _judge(self, gi: Mapping[str, Any], tried: float | None) -> transport_terms.Way:
+        noise = self.path_noise if gi["method"] == transport_terms.REFERENCE else PathNoise(0.0)
+        return transport_terms.judge(self.pilot, self.request.bound, self.costs, noise, gi, tried)
 
     @cached_property
     def bands(self) -> dict[int, tuple[Bands, float]]:
@@ -269,10 +270,20 @@ class Planner:
         request, steps = self.request, self.stepped(choices).steps
         return Work(request.size, request.scene.supersampling, len(request.moments), self.drawn, steps)
 
-    def rival(self, choices: Choices) -> Choices | None:
-        """Return the same with the way to transport glow that errs least, of others that take less time; or None."""
+    def rival(
+        self, choices: Choices, fits: Callable[[Mapping[str, Any]], bool] = lambda gi: True
+    ) -> Choices | None:
+        """Return the same with the way to transport glow that errs least, of others that take less time; or None.
+
+        Args:
+            fits: which parameters of `--gi` are asked about.
+        """
         method, own_s = choices.gi["method"], self.predict_s(choices)
-        others = [replace(choices, gi=gi) for gi in self._settings if gi["method"] not in (method, NONE)]
+        others = [
+            replace(choices, gi=gi)
+            for gi in self._settings
+            if gi["method"] not in (method, NONE) and fits(gi)
+        ]
         quicker = [other for other in others if self.predict_s(other) < own_s]
         return min(quicker, key=lambda other: self.way(other.gi).error, default=None)
 

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 # Of the probe: paths a pixel, texels along the side of a state, samples along that of a pixel, texels of a shadow map.
 PATHS, TEXELS, SUPERSAMPLING, SHADOW_TEXELS = 16, 32, 2, 256
 
-# What the noise may be off by, in standard errors: one in 40 is worse.
+# What a sample's mean may be off by, in standard errors: one in 40 is worse.
 SIGMAS = 2.0
 
 # With fewer paths than the probe's: the power at which noise falls. In eight drawn scenes 0.63 to 0.75 from 4 to 16.

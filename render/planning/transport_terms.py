@@ -7,6 +7,7 @@ the trade, of which the worst counts. The two are added, in the unit of the boun
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -20,7 +21,7 @@ from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.planning.bounds import Bound
 from phoslab.render.planning.costs import Costs, unlike
 from phoslab.render.planning.pilot import Pilot
-from phoslab.render.planning.probe import PathNoise
+from phoslab.render.planning.probe import SIGMAS, PathNoise
 
 Array = NDArray[np.float64]
 
@@ -30,9 +31,6 @@ REFERENCE = "reference"
 _SIDES = (4, 5, 6, 7, 8, 10, 12, 14, 16, 19, 23, 27, 32, 38, 45, 54, 64, 76, 91, 108, 128, 152, 181, 215, 256)
 SAMPLES = (4, 6, 9, 12, *(k * k for k in _SIDES))
 BOUNCES = (1, 2, 3, 4, 6, 10)
-
-# What a sample's mean may be off by, in standard errors: one in 40 is worse.
-SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ def _measured(pilot: Pilot, costs: Costs, gi: Mapping[str, Any]) -> float:
     """
     alike = [m for m in costs.gi if m.method == gi["method"]]
     nearest = min(alike, key=lambda m: unlike(m.parameters, gi), default=None)
-    uneven = max(1.0, pilot.reflected_unevenly() / costs.unevenness)
+    uneven = max(1.0, pilot.reflected_unevenness / costs.unevenness)
     return 1.0 if nearest is None else nearest.error * uneven
 
 
@@ -145,6 +143,8 @@ def _inexact(
         pattern: (h, w, 3) how the error lies over the picture, its mean absolute value being 1; None: the same share
             of reflected light everywhere, and, of ways in which that may go up and down, the worst of `_turns`.
     """
+    if not math.isfinite(error):
+        return math.inf
     reflected = pilot.as_picture(pilot.bounces[:reflections].sum(axis=0)) + pilot.unmet(0)
     picture = pilot.as_picture(pilot.lamp + pilot.glow) + reflected
     if pattern is None:

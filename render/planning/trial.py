@@ -10,7 +10,8 @@ and taken off; and in rounds, each of more of them, so that no more are traced t
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,11 +20,13 @@ from numpy.typing import NDArray
 from phoslab.colorimetry import xyz_matrix
 from phoslab.model_plan import Choices
 from phoslab.render.device import Device
+from phoslab.render.glow_methods import find_method
+from phoslab.render.glow_transport import TransportParameters
 from phoslab.render.gltf import GltfCamera
 from phoslab.render.path_tracer import LLVM, trace, usual_variant
 from phoslab.render.phosphor_state import Stepping
 from phoslab.render.planning.pilot import Pilot
-from phoslab.render.planning.probe import SUPERSAMPLING, most_reflected
+from phoslab.render.planning.probe import SIGMAS, SUPERSAMPLING, most_reflected
 from phoslab.render.planning.reduced import apply, transport_parameters
 from phoslab.render.reference import Reference
 from phoslab.render.renderer import Renderer, RenderParameters
@@ -39,17 +42,76 @@ WINDOWS, SIDE, MIDDLE = 8, 16, 8
 ROUNDS = (64, 256, 1024, 4096)
 AT_ONCE = 256
 
-# By how many standard errors the truth may lie beside what was found: one in 40 lies further on one side.
-SIGMAS = 2.0
+# Fewer windows than these that see reflected light tell nothing of its errors.
+LEAST_LIT = 16.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a way errs by: mean |a - b| / mean b of reflected light.
+
+    Args:
+        square: of that, noise taken off; it may be negative.
+        spread: its standard error.
+        noise: of what it was held to, in the same unit.
+    """
+
+    square: float
+    spread: float
+    noise: float
+
+    @property
+    def at_most(self) -> float:
+        """That which one of 40 exceeds."""
+        return math.sqrt(max(self.square, 0.0) + SIGMAS * self.spread)
+
+    @property
+    def at_least(self) -> float:
+        """That which one of 40 falls below. Nothing while there is more noise: few large errors look like more then."""
+        least = math.sqrt(max(self.square - SIGMAS * self.spread, 0.0))
+        return least if least > self.noise else 0.0
+
+
+def estimate(quick: Array, one: Array, other: Array) -> Estimate | None:
+    """Return what a way errs by, held to two pictures of other noise.
+
+    Squares of errors and of noise add where both are alike. Where errors are the same everywhere and noise is larger,
+    a fifth too little is found.
+
+    Args:
+        quick, one, other: (n, m) light, n samples of the picture, such as windows, of m values each.
+
+    Returns:
+        None where too few of them are lit.
+    """
+    truth = (one + other) / 2
+    light = truth.mean(axis=1)
+    lit = light.sum() ** 2 / max(float((light**2).sum()), 1e-300)
+    if light.sum() <= 0 or lit < LEAST_LIT:
+        return None
+    brightness = light / light.mean()
+    # The difference of two has sqrt(2) of the noise of one, which is sqrt(2) of that of their mean.
+    off, noise = (np.abs(d).mean(axis=1) / light.mean() for d in (quick - truth, (one - other) / 2))
+    of_each = 2 * off.mean() * (off - off.mean() * brightness)
+    of_each -= 2 * noise.mean() * (noise - noise.mean() * brightness)
+    spread = math.sqrt((of_each**2).sum() * lit / (lit - 1)) / len(of_each)
+    return Estimate(float(off.mean() ** 2 - noise.mean() ** 2), spread, float(noise.mean()))
 
 
 class Trial:
     """Windows of a picture by a quick way to transport glow, beside more and more paths.
 
+    Where paths begin anywhere in a pixel (without LLVM), what edges differ by counts as the way's error.
+
     Args:
         pilot: at whose moment with the most reflected glow they are compared.
-        size: of the whole picture.
-        quick: how the scene is modelled; bands that are few do, since light of all goes the same ways.
+        size: (width, height) of the whole picture.
+        quick: how the scene is modelled, by a way that `can_try` allows; some surface glows. Bands that are few do,
+            since light of all goes the same ways.
+        device: what it is drawn on.
+
+    Raises:
+        PhoslabError: Mitsuba is not installed.
     """
 
     def __init__(self, pilot: Pilot, size: tuple[int, int], quick: Choices, device: Device) -> None:
@@ -90,7 +152,7 @@ class Trial:
         """Trace so many more paths a pixel, for each of the two pictures."""
         for k in range(2):
             more = self._trace(
-                samples, 2 * samples + k, reflections=self._reflections, direct=not self._subtracts
+                samples, 2 * self._paths + k, reflections=self._reflections, direct=not self._subtracts
             )
             share = samples / (self._paths + samples)
             self._traced[k] += share * (more - self._straight - self._traced[k])
@@ -110,41 +172,25 @@ class Trial:
         )
         return np.asarray(radiance @ self._to_xyz, dtype=np.float64)
 
-    def error(self, sigmas: float = 0.0) -> float:
-        """Return mean |a - b| / mean b of reflected light, and so many standard errors more."""
-        square, spread = self.square()
-        return math.sqrt(max(square + sigmas * spread, 0.0))
-
-    def square(self) -> tuple[float, float]:
-        """Return the square of the error, and its standard error.
-
-        Squares of errors and of noise add where both are alike. Windows are independent samples of the picture.
-        """
-        one, other = self._traced
-        truth = (one + other) / 2
-        light = self._by_part(truth)
-        if light.mean() <= 0:
-            return math.inf, 0.0
-        # The difference of two has sqrt(2) of the noise of one, which is sqrt(2) of that of their mean.
-        off, noise = (
-            self._by_part(np.abs(d)) / light.mean() for d in (self._quick - truth, (one - other) / 2)
-        )
-        square = off.mean() ** 2 - noise.mean() ** 2
-        brightness = light / light.mean()
-        of_each = 2 * off.mean() * (off - off.mean() * brightness)
-        of_each -= 2 * noise.mean() * (noise - noise.mean() * brightness)
-        return float(square), float(of_each.std(ddof=1) / math.sqrt(of_each.size))
+    def found(self) -> Estimate | None:
+        """Return what the way errs by, as far as is known; None: too little of the light is seen."""
+        return estimate(*(self._by_part(picture) for picture in (self._quick, *self._traced)))
 
     def _by_part(self, picture: Array) -> Array:
-        """Return the means of the windows, or of as many parts of the only one."""
-        rows = 1 if len(self._cameras) > 1 else WINDOWS
-        columns = max(len(self._cameras), WINDOWS)
-        parts = [
-            part.mean()
-            for row in np.array_split(picture, rows)
-            for part in np.array_split(row, columns, axis=1)
-        ]
-        return np.array(parts)
+        """Return (n, m) the windows, or as many parts of the only one, of equal size: what is over is left out."""
+        if len(self._cameras) == 1:
+            rows, columns = min(WINDOWS, picture.shape[0]), min(WINDOWS, picture.shape[1])
+        else:
+            rows, columns = 1, len(self._cameras)
+        h, w = picture.shape[0] // rows, picture.shape[1] // columns
+        parts = picture[: rows * h, : columns * w].reshape(rows, h, columns, w, -1)
+        return parts.swapaxes(1, 2).reshape(rows * columns, -1)
+
+
+def can_try(gi: Mapping[str, Any]) -> bool:
+    """Whether a way can be tried: its light does not depend on where the camera is, nor on what lies around a rim."""
+    reach = gi.get("filter_px", TransportParameters.filter_px)
+    return "camera" not in find_method(gi["method"]).reads and reach <= (SIDE - MIDDLE) // 2
 
 
 def trial_size(size: tuple[int, int], side: int = SIDE) -> tuple[int, int]:

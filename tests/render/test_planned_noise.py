@@ -25,9 +25,9 @@ def drawn(tmp_path_factory, planned_scenes):
 
 @pytest.mark.parametrize("samples", [4, 64])
 def test_a_picture_is_as_noisy_as_the_probe_says(drawn, device, samples):
-    """No more: what the mean over 576 pixels leaves open is in it. Less, by as much again and by 0.6: the probe's pixels
-    are larger and see more edges. And many paths are taken to gain by their number alone, with the power 1/2, while
-    those that are stratified may gain with 3/4, as few of them do."""
+    """No more: what the mean over 576 pixels leaves open is in it. Less, by as much again and by 0.6: the probe's
+    pixels are larger and see more edges. And many paths are taken to gain by their number alone, with the power 1/2,
+    while those that are stratified may gain with 3/4, as few of them do."""
     pytest.importorskip("mitsuba")
     scene, time = drawn
     pilot = look(scene, [scene.schedule.parse_time(time)], SIZE)

@@ -94,14 +94,14 @@ def test_what_a_pixel_sees_beside_its_middle_is_an_edge_over_the_picture_s_side(
     of two and a half."""
     scene = load_scene(SCENES / "cornell")
     moment = scene.schedule.parse_time("off+1s")
-    coarse, fine = (look(scene, [moment], (n, n)).reflected_unevenly() for n in (64, 256))
+    coarse, fine = (look(scene, [moment], (n, n)).reflected_unevenness for n in (64, 256))
     assert coarse / 10 < fine < coarse / 1.6
     assert 0.01 < coarse < 0.2
 
 
 def test_a_scene_that_is_less_even_than_those_of_the_trade_errs_by_so_much_more(closed_box):
     gi = {"method": "tiles", "directions": 8, "bounces": 1}
-    own = closed_box.reflected_unevenly()
+    own = closed_box.reflected_unevenness
     assert own > 0
     alike, coarse, fine = (
         transport_terms.judge(closed_box, PERCENT, replace(costs(1), unevenness=own * f), NOISE, gi).inexact

@@ -110,7 +110,7 @@ def measure(
             runs += own
             learnt.append(known)
     progress(len(cases), len(cases))
-    uneven = max(LEAST_UNEVENNESS, *(case.pilot.reflected_unevenly() for case in cases))
+    uneven = max(LEAST_UNEVENNESS, *(case.pilot.reflected_unevenness for case in cases))
     data = {
         "quick": quick,
         "unevenness": uneven,
