@@ -140,12 +140,13 @@ class Planner:
             return False
         with nullcontext(self._device) if self._device is not None else Device() as device:
             trial = Trial(self.pilot, self.request.size, replace(quick, bands_nm=self._few_bands), device)
-        spread = math.inf
+        at_most = spread = math.inf
         for samples in rounds:
             trial.follow(samples)
             found = trial.found()
             if found is None:
                 return False
+            at_most = found.at_most
             if (
                 self._judge(quick.gi, found.at_least).error > left
                 or self._judge(quick.gi, found.at_most).error <= left
@@ -154,7 +155,7 @@ class Planner:
             if found.spread > NO_SURER * spread:
                 break
             spread = found.spread
-        self._tried[_key(quick.gi)] = found.at_most
+        self._tried[_key(quick.gi)] = at_most
         self._ways.pop(_key(quick.gi), None)
         return True
 
