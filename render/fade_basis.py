@@ -33,6 +33,7 @@ from phoslab.render.schedule import Schedule
 
 SUFFIX = ".basis.exr"
 SCHEMA = "phoslab-fade-basis/1"
+AUTOMATIC = (Exposure(0.0, None),)
 _REMEDY = f"Name a {SUFFIX} file that phoslab render wrote."
 
 
@@ -68,12 +69,20 @@ class FadeBasis:
         weights = np.exp(-self.rates_per_s * (t_s - self.t0_s)).astype(np.float32)
         return (weights @ self.pictures.reshape(n, -1)).reshape(h, w, k)
 
-    def write(self, path: Path, *, scene: str, off_s: float | None) -> None:
+    def write(
+        self,
+        path: Path,
+        *,
+        scene: str,
+        off_s: float | None,
+        exposures: Sequence[Exposure] = AUTOMATIC,
+    ) -> None:
         """Write the pictures as layers of one OpenEXR file, with their rates.
 
         Args:
             scene: where they come from.
             off_s: the moment that `off` names in times; None: there is none.
+            exposures: how it is shown, by when.
         """
         names = band_channels(self.bands)
         channels = {
@@ -88,12 +97,13 @@ class FadeBasis:
             "band_edges_nm": self.bands.edges_nm.tolist(),
             "scene": scene,
             "off_s": off_s,
+            "exposures": [[e.from_s, e.factor] for e in exposures],
         }
         write_channels(path, channels, {"phoslab:fade_basis": json.dumps(about)})
 
 
-def read_fade_basis(path: Path) -> tuple[FadeBasis, str, float | None]:
-    """Read a basis back; return it, the scene that it is of, and the moment that `off` names.
+def read_fade_basis(path: Path) -> tuple[FadeBasis, str, float | None, tuple[Exposure, ...]]:
+    """Read a basis back; return it, the scene that it is of, the moment that `off` names, and how it is shown.
 
     Raises:
         PhoslabError: the file is missing, or none that `FadeBasis.write` wrote.
@@ -118,6 +128,8 @@ def read_fade_basis(path: Path) -> tuple[FadeBasis, str, float | None]:
             FadeBasis(t0_s, rates, pictures.astype(np.float32), bands),
             str(about["scene"]),
             None if off_s is None else float(off_s),
+            tuple(Exposure(float(t), None if f is None else float(f)) for t, f in about.get("exposures", ()))
+            or AUTOMATIC,
         )
     except (KeyError, TypeError, ValueError) as error:
         raise PhoslabError("is not a fade basis", file=path, remedy=_REMEDY) from error
@@ -180,11 +192,11 @@ def frames_of(path: Path, times: Sequence[str] | None) -> Frames:
     Raises:
         PhoslabError: the file is no fade basis, or a time is before it.
     """
-    basis, scene, off_s = read_fade_basis(path)
+    basis, scene, off_s, exposures = read_fade_basis(path)
     frames = []
     for text in times or [f"{basis.t0_s:.12g}"]:
         # The lights are over: of their schedule only the end still names times.
         courses = {} if off_s is None else {"light": Course(Switched(((0.0, off_s),)))}
         t_s = Schedule(courses).parse_time(text)
         frames.append(Frame(t_s, text, basis.bands, basis.at(t_s)))
-    return Frames(tuple(frames), scene=scene, solver="exact", exposures=(Exposure(0.0, None),))
+    return Frames(tuple(frames), scene=scene, solver="exact", exposures=exposures)

@@ -46,6 +46,8 @@ def run(args: argparse.Namespace) -> int:
     from phoslab.render.planning import check_plan, make_plan
 
     if args.out is not None:
+        if args.out.suffix.lower() != ".json":
+            raise PhoslabError("is no .json", file=args.out, remedy="A plan is JSON: name a file plan.json.")
         check_writable(args.out)
     scene = sample_scenes.find_scene(args.scene)
     wrong = None

@@ -221,7 +221,9 @@ def run(args: argparse.Namespace) -> int:
             scene, *_one_time(args.at), transport=transport, size=args.size, state_format=args.state_format
         )
         folder = args.scene if args.scene.is_dir() else args.scene.parent
-        basis.write(args.out, scene=folder.resolve().name, off_s=scene.schedule.off_s)
+        basis.write(
+            args.out, scene=folder.resolve().name, off_s=scene.schedule.off_s, exposures=scene.exposures
+        )
         return _say(args, [args.out], scene.warnings)
     with progress_bar("rendering") as progress:
         frames = render(
@@ -279,10 +281,39 @@ def _refuse_what_a_plan_decides(args: argparse.Namespace) -> None:
             )
 
 
+def _refuse_what_a_basis_knows(args: argparse.Namespace) -> None:
+    """Refuse options that say how to render, where nothing is rendered: a bound, say, would not be held."""
+    rendered = (
+        *("max_error", "plan", "gi", "size", "solver", "step", "debug", "full_transport", "lamp_bounces"),
+        *("glow_excites", "directions", "guided", "filter", "cell", "detail", "surfel", "epsilon", "levels"),
+    )
+    for name in rendered:
+        if getattr(args, name):
+            raise PhoslabError(
+                "belongs to rendering, and a fade basis is rendered already",
+                field=f"--{name.replace('_', '-')}",
+                remedy="Leave it out, or name the scene in place of the basis.",
+            )
+    if args.out.name.lower().endswith(BASIS):
+        raise PhoslabError(
+            "would be pictures of a basis, not a basis",
+            file=args.out,
+            remedy="Name an OUT that ends in .png or .exr alone, or copy the file.",
+        )
+
+
 def _transport(args: argparse.Namespace) -> TransportParameters:
-    """Return what the arguments say of glow transport; what they leave out is the renderer's own default."""
+    """Return what the arguments say of glow transport; what they leave out is the renderer's own default.
+
+    Raises:
+        PhoslabError: light is to be followed to its end by a way that cannot.
+    """
     from phoslab.render import TransportParameters
 
+    if args.full_transport and args.gi != "reference":
+        raise PhoslabError(
+            "belongs to --gi reference", field="--full-transport", remedy="Add it, or use --bounces N."
+        )
     said = {
         "directions": args.directions,
         "guided": args.guided,
@@ -355,6 +386,7 @@ def _from_basis(args: argparse.Namespace) -> tuple[list[Path], Sequence[str]]:
     """Write the pictures that a fade basis gives at the times asked for."""
     from phoslab.render.fade_basis import frames_of
 
+    _refuse_what_a_basis_knows(args)
     frames = frames_of(args.scene, args.at)
     return frames.write(args.out), frames.warnings
 

@@ -63,11 +63,12 @@ class PathNoise:
 
 
 def measure_noise(
-    pilot: Pilot, choices: Choices, variant: str, *, device: Device | None = None
+    pilot: Pilot, choices: Choices, variant: str, at: int, *, device: Device | None = None
 ) -> PathNoise | None:
-    """Return how noisy reflected glow is when it is the most of the light.
+    """Return how noisy reflected glow is.
 
     Args:
+        at: the number of the pilot's moment.
         choices: what of the scene to trace.
         variant: of Mitsuba.
 
@@ -76,8 +77,8 @@ def measure_noise(
     """
     if device is None:
         with Device() as own:
-            return measure_noise(pilot, choices, variant, device=own)
-    size, at = pilot.shape[::-1], most_reflected(pilot)
+            return measure_noise(pilot, choices, variant, at, device=own)
+    size = pilot.shape[::-1]
     surfaces = {k: replace(s, atlas_texels=min(s.atlas_texels, TEXELS)) for k, s in choices.surfaces.items()}
     scene = apply(pilot.scene, replace(choices, surfaces=surfaces))
     parameters = RenderParameters(

@@ -195,3 +195,18 @@ def test_what_a_plan_decides_cannot_be_given_beside_it(plan, fading, tmp_path, c
     said = refused(capsys, "render", str(fading), "--max-error", "30%", "--solver", "euler", "-o", out)
     assert "--solver" in said
     assert not Path(out).exists()
+
+
+def test_a_plan_is_saved_as_json_alone(fading, tmp_path, capsys):
+    picture = tmp_path / "keep.png"
+    picture.write_bytes(b"mine")
+    said = refused(capsys, "plan", str(fading), "--max-error", "30%", *SMALL, "-o", str(picture))
+    assert "keep.png" in said
+    assert picture.read_bytes() == b"mine"
+
+
+def test_light_is_followed_to_its_end_by_the_reference_alone(fading, tmp_path, capsys):
+    out = str(tmp_path / "x.png")
+    said = refused(capsys, "render", str(fading), "--gi", "tiles", "--full-transport", "-o", out)
+    assert "--full-transport" in said
+    assert "--gi reference" in said

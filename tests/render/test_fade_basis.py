@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from phoslab.app.cli import main
 from phoslab.render import TransportParameters, load_scene, render, render_fade_basis
@@ -105,3 +106,28 @@ def test_a_file_that_is_no_basis_is_refused_in_one_sentence(tmp_path, capsys):
     path.write_bytes(b"nothing")
     assert main(["render", str(path), "-o", str(tmp_path / "b.png")]) == 1
     assert "cannot be read as an OpenEXR image" in capsys.readouterr().err
+
+
+def test_a_basis_is_shown_as_its_scene_is(tmp_path, capsys):
+    """`occluder` has its exposure chosen anew at 30 s, when its green has faded far: a picture of then is not black."""
+    path = tmp_path / "occluder.basis.exr"
+    assert main(["render", "occluder", "-o", str(path), "--at", "0", "--size", "24x24", "--gi", "none"]) == 0
+    direct, late = tmp_path / "direct.png", tmp_path / "late.png"
+    assert (
+        main(["render", "occluder", "-o", str(direct), "--at", "30", "--size", "24x24", "--gi", "none"]) == 0
+    )
+    assert main(["render", str(path), "-o", str(late), "--at", "30"]) == 0
+    assert "black" not in capsys.readouterr().out
+    seen = [np.asarray(Image.open(p), dtype=int) for p in (direct, late)]
+    assert seen[0].max() > 100
+    assert abs(seen[0] - seen[1]).max() <= 1
+
+
+@pytest.mark.parametrize("option", [["--gi", "none"], ["--max-error", "3%"], ["--size", "9x9"], []])
+def test_what_is_rendered_already_takes_no_options_of_rendering(tmp_path, capsys, option):
+    path, out = tmp_path / "glow.basis.exr", tmp_path / ("late.exr" if option else "late.basis.exr")
+    assert main(["render", "fading", "-o", str(path), "--size", "16x12", "--gi", "none"]) == 0
+    capsys.readouterr()
+    assert main(["render", str(path), "-o", str(out), *option]) == 1
+    assert (option[0] if option else "late.basis.exr") in capsys.readouterr().err
+    assert not out.exists()
