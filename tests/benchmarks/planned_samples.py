@@ -25,7 +25,7 @@ SIDE, BOUNDS = 512, ("5%", "2%", "1%")
 EVERYTHING = {"method": "reference", "samples": 256, "full": True}
 
 # Plans that are predicted to take longer are not run.
-MOST_S = 1800.0
+MOST_S = 1200.0
 
 
 class Results(Protocol):
