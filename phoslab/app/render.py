@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -272,13 +272,11 @@ def _refuse_what_a_plan_decides(args: argparse.Namespace) -> None:
         "--debug": bool(args.debug),
         BASIS: args.out.name.lower().endswith(BASIS),
     }
-    for option, given in decided.items():
-        if given:
-            raise PhoslabError(
-                "is decided by the plan, or cannot be had with one",
-                field=option,
-                remedy="Leave it out, or render without --max-error and --plan.",
-            )
+    _refuse(
+        decided,
+        "is decided by the plan, or cannot be had with one",
+        "Leave it out, or render without --max-error and --plan.",
+    )
 
 
 def _refuse_what_a_basis_knows(args: argparse.Namespace) -> None:
@@ -287,19 +285,24 @@ def _refuse_what_a_basis_knows(args: argparse.Namespace) -> None:
         *("max_error", "plan", "gi", "size", "solver", "step", "debug", "full_transport", "lamp_bounces"),
         *("glow_excites", "directions", "guided", "filter", "cell", "detail", "surfel", "epsilon", "levels"),
     )
-    for name in rendered:
-        if getattr(args, name):
-            raise PhoslabError(
-                "belongs to rendering, and a fade basis is rendered already",
-                field=f"--{name.replace('_', '-')}",
-                remedy="Leave it out, or name the scene in place of the basis.",
-            )
+    _refuse(
+        {f"--{name.replace('_', '-')}": bool(getattr(args, name)) for name in rendered},
+        "belongs to rendering, and a fade basis is rendered already",
+        "Leave it out, or name the scene in place of the basis.",
+    )
     if args.out.name.lower().endswith(BASIS):
         raise PhoslabError(
             "would be pictures of a basis, not a basis",
             file=args.out,
             remedy="Name an OUT that ends in .png or .exr alone, or copy the file.",
         )
+
+
+def _refuse(given: Mapping[str, bool], problem: str, remedy: str) -> None:
+    """Refuse the first option that was given."""
+    for option, is_given in given.items():
+        if is_given:
+            raise PhoslabError(problem, field=option, remedy=remedy)
 
 
 def _transport(args: argparse.Namespace) -> TransportParameters:

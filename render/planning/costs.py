@@ -62,11 +62,15 @@ class Costs:
         shares = dict.fromkeys(_DECIDES.values(), 0.0)
         for name, count in features(choices, work).items():
             shares[_DECIDES[name]] += self.costs_s.get(name, 0.0) * count
-        alike = [m for m in self.gi if m.method == choices.gi["method"]]
-        if alike:
-            nearest = min(alike, key=lambda m: unlike(m.parameters, choices.gi))
+        nearest = self.nearest(choices.gi)
+        if nearest is not None:
             shares["gi"] += nearest.once_s + nearest.s_per_pixel * work.size[0] * work.size[1]
         return shares
+
+    def nearest(self, gi: Mapping[str, Any]) -> MeasuredWay | None:
+        """Return what was measured with the parameters of `--gi` that are most like these; None: no such method was."""
+        alike = [m for m in self.gi if m.method == gi["method"]]
+        return min(alike, key=lambda m: unlike(m.parameters, gi), default=None)
 
 
 def unlike(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:

@@ -187,6 +187,8 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
     shape = _shape(size)
     n_pixels, K, D = shape[0] * shape[1], scene.transport.n, len(scene.drawables)
     eye, direction = camera_rays(scene, shape, size, rng)
+    # Under which a pixel of the picture is seen, in rad.
+    angle = 2 * float(np.tan(scene.camera.yfov_rad / 2)) / size[1]
     seen, pixel = meet(triangles, np.broadcast_to(eye, direction.shape), direction)
     lamp = np.zeros((len(at), n_pixels, K))
     lamp[:, pixel] = _lamp_light(scene, triangles, seen, at)
@@ -230,11 +232,11 @@ def look(scene: Scene, moments: Sequence[float], size: tuple[int, int], seed: in
         from_each=from_each,
         brightest=brightest,
         whiteness=whiteness,
-        unevenness=_unevenness(scene, triangles, seen, pixel, eye, direction, size),
+        unevenness=_unevenness(triangles, seen, pixel, eye, direction, angle),
         walks=walks * len(pixel),
         sampled=sampled,
         visible=np.bincount(seen.drawable, minlength=D) / n_pixels,
-        side_px=_sides(scene, triangles, seen, pixel, eye, direction, size),
+        side_px=_sides(scene, triangles, seen, pixel, eye, direction, angle),
     )
 
 
@@ -307,24 +309,17 @@ def _glow(
 
 
 def _unevenness(
-    scene: Scene,
-    triangles: Triangles,
-    seen: Points,
-    pixel: Index,
-    eye: Array,
-    direction: Array,
-    size: tuple[int, int],
+    triangles: Triangles, seen: Points, pixel: Index, eye: Array, direction: Array, angle: float
 ) -> Array:
     """Return (P,) how much what a pixel sees differs within it; 0 where its middle sees nothing."""
     # Numbers of its own, so that walks are the same whether this is asked for or not.
     rng = np.random.default_rng(0)
-    half_a_pixel = np.tan(scene.camera.yfov_rad / 2) / size[1]
     found = np.zeros(len(direction))
     for _ in range(AROUND):
         aside = rng.normal(size=(len(pixel), 3))
         aside -= np.einsum("ij,ij->i", aside, direction[pixel])[:, None] * direction[pixel]
         aside /= np.linalg.norm(aside, axis=1, keepdims=True)
-        towards = direction[pixel] + half_a_pixel * aside
+        towards = direction[pixel] + angle / 2 * aside
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         beside, which = meet(triangles, np.broadcast_to(eye, towards.shape), towards)
         differs = np.ones(len(pixel))
@@ -341,12 +336,11 @@ def _sides(
     pixel: Index,
     eye: Array,
     direction: Array,
-    size: tuple[int, int],
+    angle: float,
 ) -> Array:
     """Return (D,) the root of each surface's area over that which a pixel sees of it; 0 where it is not seen."""
     D = len(scene.drawables)
     area = np.bincount(triangles.drawable, triangles.area, minlength=D)
-    angle = 2 * np.tan(scene.camera.yfov_rad / 2) / size[1]
     distance = np.linalg.norm(seen.place - eye, axis=1)
     cosine = np.abs(np.einsum("ij,ij->i", seen.towards, direction[pixel]))
     # The finest that is seen counts: a pixel there sees the least.

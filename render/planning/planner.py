@@ -28,7 +28,7 @@ from phoslab.render.planning import spectrum_terms, state_terms, texel_terms, tr
 from phoslab.render.planning.bounds import Bound
 from phoslab.render.planning.costs import Costs, Work, pictures
 from phoslab.render.planning.pilot import Pilot, look
-from phoslab.render.planning.probe import PATHS, SUPERSAMPLING, PathNoise, measure_noise, most_reflected
+from phoslab.render.planning.probe import PATHS, SUPERSAMPLING, PathNoise, measure_noise
 from phoslab.render.planning.reduced import whole
 from phoslab.render.planning.sensitivity import Sensitivity
 from phoslab.render.planning.step_terms import Stepped, judged, steps
@@ -257,12 +257,7 @@ class Planner:
         plain = replace(whole(self.request.scene), bands_nm=self._few_bands)
         stepped = self.steps[0]
         choices = replace(plain, solver=stepped.solver, step_s=stepped.step_s)
-        measured = (
-            measure_noise(self.pilot, choices, variant, at, device=self._device)
-            for at in sorted({0, most_reflected(self.pilot), len(self.pilot.moments) - 1})
-        )
-        found = [noise for noise in measured if noise is not None]
-        return max(found, key=lambda noise: noise.of_probe, default=elsewhere)
+        return measure_noise(self.pilot, choices, variant, device=self._device) or elsewhere
 
     def predict_s(self, choices: Choices) -> float:
         """Return the predicted time of all pictures in s."""

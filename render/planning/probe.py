@@ -11,6 +11,7 @@ and sees a pixel through the same places each time: what comes straight is the s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,12 +22,13 @@ from phoslab.colorimetry import xyz_matrix
 from phoslab.model_plan import Choices
 from phoslab.render.device import Device
 from phoslab.render.glow_transport import TransportParameters
-from phoslab.render.path_tracer import LLVM, UNLIMITED, trace
+from phoslab.render.path_tracer import LLVM, UNLIMITED, TracedMesh, trace
 from phoslab.render.phosphor_state import Stepping
 from phoslab.render.planning.pilot import Pilot
 from phoslab.render.planning.reduced import apply
 from phoslab.render.reference import Reference
 from phoslab.render.renderer import Renderer, RenderParameters
+from phoslab.render.scene import Scene
 from phoslab.render.shadow_map import ShadowMapParameters
 
 Array = NDArray[np.float64]
@@ -63,12 +65,11 @@ class PathNoise:
 
 
 def measure_noise(
-    pilot: Pilot, choices: Choices, variant: str, at: int, *, device: Device | None = None
+    pilot: Pilot, choices: Choices, variant: str, *, device: Device | None = None
 ) -> PathNoise | None:
-    """Return how noisy reflected glow is.
+    """Return how noisy reflected glow is at the noisiest moment of first, last, and when it is most of the light.
 
     Args:
-        at: the number of the pilot's moment.
         choices: what of the scene to trace.
         variant: of Mitsuba.
 
@@ -77,29 +78,44 @@ def measure_noise(
     """
     if device is None:
         with Device() as own:
-            return measure_noise(pilot, choices, variant, at, device=own)
-    size = pilot.shape[::-1]
+            return measure_noise(pilot, choices, variant, device=own)
     surfaces = {k: replace(s, atlas_texels=min(s.atlas_texels, TEXELS)) for k, s in choices.surfaces.items()}
     scene = apply(pilot.scene, replace(choices, surfaces=surfaces))
     parameters = RenderParameters(
-        size,
+        pilot.shape[::-1],
         SUPERSAMPLING,
         stepping=Stepping(choices.solver, choices.step_s),
         shadow_map=ShadowMapParameters(SHADOW_TEXELS),
         transport=TransportParameters(Reference.name),
     )
+    found = []
     with device.scope():
         renderer = Renderer(device, scene, parameters)
         if not isinstance(renderer.transport, Reference):
             return None
-        renderer.light(float(pilot.moments[at]))
-        meshes, camera = renderer.transport.meshes(), renderer.gbuffer.camera
+        for at in sorted({0, most_reflected(pilot), len(pilot.moments) - 1}):
+            renderer.light(float(pilot.moments[at]))
+            noise = _noise_at(pilot, at, renderer.transport.meshes(), scene, variant)
+            if noise is not None:
+                found.append(noise)
+    return max(found, key=lambda noise: noise.of_probe, default=None)
+
+
+def _noise_at(
+    pilot: Pilot, at: int, meshes: Sequence[TracedMesh], scene: Scene, variant: str
+) -> PathNoise | None:
+    """Return how noisy the light of meshes is at the pilot's moment of number `at`; None: no reflected glow is met."""
     to_xyz = xyz_matrix(scene.transport)
+    # Of the pilot, by which the noise is multiplied again.
+    reflected = rebin(pilot.bounces[:, at].sum(axis=0).mean(axis=0), pilot.scene.transport, scene.transport)
+    brightness = float((reflected @ to_xyz).mean())
+    if brightness <= 0:
+        return None
     one, other = (
         trace(
             meshes,
-            [camera],
-            size,
+            [scene.camera],
+            pilot.shape[::-1],
             reflections=UNLIMITED,
             samples=PATHS,
             seed=seed,
@@ -110,11 +126,6 @@ def measure_noise(
         @ to_xyz
         for seed in (1, 2)
     )
-    # Of the pilot, by which the noise is multiplied again.
-    reflected = rebin(pilot.bounces[:, at].sum(axis=0).mean(axis=0), pilot.scene.transport, scene.transport)
-    brightness = float((reflected @ to_xyz).mean())
-    if brightness <= 0:
-        return None
     # The difference of two has the noise of both.
     noise = np.asarray(one - other, dtype=np.float64)
     each = np.abs(noise).mean(axis=-1)

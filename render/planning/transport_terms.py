@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from phoslab.render.glow_methods import METHODS
 from phoslab.render.glow_transport import NONE, TransportParameters
 from phoslab.render.planning.bounds import Bound
-from phoslab.render.planning.costs import Costs, unlike
+from phoslab.render.planning.costs import Costs
 from phoslab.render.planning.pilot import Pilot
 from phoslab.render.planning.probe import SIGMAS, PathNoise
 
@@ -106,8 +106,7 @@ def _measured(pilot: Pilot, costs: Costs, gi: Mapping[str, Any]) -> float:
 
     Other ways than paths find light for one place in a pixel: it is larger where a pixel sees more that is unlike.
     """
-    alike = [m for m in costs.gi if m.method == gi["method"]]
-    nearest = min(alike, key=lambda m: unlike(m.parameters, gi), default=None)
+    nearest = costs.nearest(gi)
     uneven = max(1.0, pilot.reflected_unevenness / costs.unevenness)
     return 1.0 if nearest is None else nearest.error * uneven
 

@@ -32,7 +32,7 @@ def test_a_picture_is_as_noisy_as_the_probe_says(drawn, device, samples):
     scene, time = drawn
     pilot = look(scene, [scene.schedule.parse_time(time)], SIZE)
     everything = whole(scene)
-    noise = measure_noise(pilot, everything, usual_variant(), 0, device=device)
+    noise = measure_noise(pilot, everything, usual_variant(), device=device)
     assert noise is not None
 
     def picture(**gi: object) -> np.ndarray:

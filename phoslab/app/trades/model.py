@@ -48,11 +48,11 @@ Progress = Callable[[int, int], None]
 
 SCENES = ("cornell", "occluder", "corridor")
 SIDE, QUICK_SIDE = 64, 32
+TRUTH_SAMPLES, QUICK_TRUTH_SAMPLES = 512, 64
+SAMPLES = (8, 32, 128)
 
 # Scenes that are more even than that tell nothing of others.
 LEAST_UNEVENNESS = 0.01
-TRUTH_SAMPLES, QUICK_TRUTH_SAMPLES = 512, 64
-SAMPLES = (8, 32, 128)
 
 # Paths a pixel that are timed, and how often: the shortest counts.
 TIMED_SAMPLES, REPEATS = (4, 64), 3
