@@ -25,6 +25,7 @@
 
 #include <simavr/avr_adc.h>
 #include <simavr/avr_ioport.h>
+#include <simavr/avr_timer.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
 #include <simavr/sim_elf.h>
@@ -35,6 +36,7 @@
 #define TRAVEL_US 280000.0
 #define LIGHT_AFTER_US 40000
 #define PULSE_GONE_US 40000
+#define LONGEST_PULSE_US 3000
 
 static avr_t *avr;
 static int master = -1, slave = -1;
@@ -164,10 +166,12 @@ static void on_alarm(struct avr_irq_t *irq, uint32_t value, void *unused) {
     if (alarm_on != !!value) alarm_on = value, pin("alarm", alarm_on);
 }
 
+/* From the timer, not from the pin: simavr lets a write to the port, as when the lamp goes off, end a pulse that the timer
+ * holds. Where its counter overflows within a pulse, the timer says again that the pulse is up; a reset ends one unsaid. */
 static void on_servo(struct avr_irq_t *irq, uint32_t value, void *unused) {
     (void)irq, (void)unused;
     if (value) {
-        pulse_up = avr->cycle;
+        if (!pulse_up || avr->cycle - pulse_up > LONGEST_PULSE_US * HZ / 1000000) pulse_up = avr->cycle;
     } else if (pulse_up) {
         pulse_us = (avr->cycle - pulse_up) * 1000000ULL / HZ;
         pulse_seen = now_us();
@@ -237,8 +241,8 @@ static void read_commands(uint32_t hang_address) {
     }
 }
 
-static avr_irq_t *watch(char port, int bit, avr_irq_notify_t notify) {
-    avr_irq_t *irq = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), bit);
+static avr_irq_t *watch(uint32_t where, int bit, avr_irq_notify_t notify) {
+    avr_irq_t *irq = avr_io_getirq(avr, where, bit);
     if (notify) avr_irq_register_notify(irq, notify, NULL);
     return irq;
 }
@@ -261,12 +265,13 @@ int main(int argc, char **argv) {
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUT_XON), on_xon, NULL);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUT_XOFF), on_xoff, NULL);
     adc_in = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
-    watch('B', 0, on_lamp);
-    watch('B', 1, on_servo);
-    watch('D', 6, on_alarm);
-    watch('D', 7, on_main);
-    open_in = watch('D', 2, NULL);
-    closed_in = watch('D', 3, NULL);
+    uint32_t port_b = AVR_IOCTL_IOPORT_GETIRQ('B'), port_d = AVR_IOCTL_IOPORT_GETIRQ('D');
+    watch(port_b, 0, on_lamp);
+    watch(AVR_IOCTL_TIMER_GETIRQ('1'), TIMER_IRQ_OUT_COMP, on_servo);
+    watch(port_d, 6, on_alarm);
+    watch(port_d, 7, on_main);
+    open_in = watch(port_d, 2, NULL);
+    closed_in = watch(port_d, 3, NULL);
     wire();
     plug();
 
