@@ -133,7 +133,13 @@ def _check_order(before: Event, event: Event, path: Path, number: int) -> None:
         )
 
 
-def decode(content: bytes, path: Path, where: str) -> str:
+def decode(
+    content: bytes,
+    path: Path,
+    where: str,
+    *,
+    remedy: str = "The file was damaged: copy the session folder again.",
+) -> str:
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -141,7 +147,7 @@ def decode(content: bytes, path: Path, where: str) -> str:
             f"is not UTF-8 text (byte {error.start})",
             file=path,
             field=where,
-            remedy="The file was damaged: copy the session folder again.",
+            remedy=remedy,
         ) from None
 
 

@@ -136,11 +136,8 @@ def read_plan(path: str | PathLike[str]) -> ModelPlan:
         PhoslabError: it is missing, malformed or of an unknown version.
     """
     file = Path(path)
-    text = decode(
-        read_regular(file, _LARGEST_BYTES, remedy="Make one: phoslab plan SCENE -o plan.json."),
-        file,
-        "the file",
-    )
+    remedy = "Make one: phoslab plan SCENE -o plan.json."
+    text = decode(read_regular(file, _LARGEST_BYTES, remedy=remedy), file, "the file", remedy=remedy)
     data: Any = schemas.read_json(text, file=file)
     version = data.get("schema") if isinstance(data, dict) else None
     if version != SCHEMA:

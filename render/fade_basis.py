@@ -144,13 +144,13 @@ def fading_rates(scene: Scene, t_s: float) -> NDArray[np.float64]:
     """
     if t_s < moving_s(scene)[1]:
         raise PhoslabError(
-            f"things move until {moving_s(scene)[1]:g} s, so the scene does not merely fade",
+            f"cannot begin at {t_s:g} s: things move until {moving_s(scene)[1]:g} s",
             field="the fade basis",
             remedy="Ask for a later time.",
         )
     if scene.schedule.dark_for_s(t_s) is None:
         raise PhoslabError(
-            f"a light is on at {t_s:g} s, so the scene does not merely fade",
+            f"cannot begin at {t_s:g} s: a light is on",
             field="the fade basis",
             remedy="Ask for a time in the dark, such as --at off.",
         )

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from phoslab import times
-from phoslab.app import sample_scenes
+from phoslab.app import glow_options, sample_scenes
 from phoslab.app.progress import progress_bar
 from phoslab.errors import PhoslabError, found_in
 from phoslab.files import check_writable
@@ -39,13 +39,9 @@ PASSES = (
     *("gbuffer", "direct_light", "glow", "atlas_glow", "resolve", "glow_transport"),
 )
 VIEWS = ("surfels", "levels", "shells", "directions", "hits")
-METHODS = ("none", "dss", "dss-z", "tiles", "reference")
-DEFAULT = "tiles"
 
 # Pixels along a side, as in a scene file.
 LARGEST_SIDE = 16384
-
-MOST_SAMPLES = 1 << 20
 
 # While glow excites: it changes as slowly as materials fade.
 GLOW_STEP_S = 0.25
@@ -87,95 +83,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--state-format",
         choices=FORMATS,
-        default="f32",
         help="what holds the state between light changes: f32 (default), f16, unorm16, f32c (compensated)",
     )
-    parser.add_argument(
-        "--gi",
-        choices=METHODS,
-        help="how glow lights other surfaces: tiles (default): reflected once, gathered from cells of the surfaces; "
-        "none: not at all; dss: splatted from surfels, nothing blocks; dss-z: the same with what blocks; "
-        "reference: reflected once, by the path tracer Mitsuba",
-    )
-    parser.add_argument(
-        "--directions",
-        metavar="N",
-        type=_count,
-        help="directions in which a pixel of tiles or dss-z looks for glow (default 8)",
-    )
-    parser.add_argument(
-        "--guided",
-        metavar="SHARE",
-        type=float,
-        help="share of the directions of tiles and dss-z that aim at what may send light (default 0.875 for tiles that "
-        "gather what glows alone, else 0.5)",
-    )
-    parser.add_argument(
-        "--filter",
-        metavar="PX",
-        type=int,
-        choices=(0, 2, 4, 8),
-        help="pixels to each side over which tiles and dss-z share them (default 4)",
-    )
-    parser.add_argument(
-        "--cell",
-        metavar="SHARE",
-        type=float,
-        help="radius of the smallest cells of tiles, over the scene's (default 0.025)",
-    )
-    parser.add_argument(
-        "--detail",
-        metavar="RATIO",
-        type=float,
-        help="radius over distance that no larger cell of tiles exceeds (default 0.3)",
-    )
-    parser.add_argument(
-        "--surfel",
-        metavar="SHARE",
-        type=float,
-        help="radius of the surfels of dss and dss-z on the screen, over half its height (default 0.02)",
-    )
-    parser.add_argument(
-        "--epsilon",
-        metavar="SHARE",
-        type=float,
-        help="share of the frame's glow at which a surfel's first shell ends (default 0.02)",
-    )
-    parser.add_argument(
-        "--levels",
-        metavar="N",
-        type=int,
-        help="levels of the framebuffer of dss and dss-z, each reaching twice as far (default 0: across the scene)",
-    )
-    parser.add_argument(
-        "--samples",
-        metavar="N",
-        type=_count,
-        default=256,
-        help="light paths a pixel of reference (default 256)",
-    )
-    parser.add_argument(
-        "--full-transport",
-        action="store_true",
-        help="let reference follow light to its end instead of for one reflection",
-    )
-    parser.add_argument(
-        "--bounces",
-        metavar="N",
-        type=_count,
-        default=1,
-        help="reflections of glow on its way to the camera, 1 (default) to 64; by any --gi",
-    )
-    parser.add_argument(
-        "--lamp-bounces",
-        action="store_true",
-        help="let surfaces light and charge others with what they reflect of the lamps, too; not by reference",
-    )
-    parser.add_argument(
-        "--glow-excites",
-        action="store_true",
-        help="let the light of phosphors charge phosphors, step by step; not by reference",
-    )
+    glow_options.declare(parser)
     parser.add_argument(
         "--size", metavar="WxH", type=_size, help="size of the picture in pixels (default: the scene's)"
     )
@@ -213,7 +123,9 @@ def run(args: argparse.Namespace) -> int:
     scene = load_scene(args.scene)
     if args.max_error is not None or args.plan is not None:
         return _say(args, *_by_plan(args, scene))
-    transport = _transport(args)
+    _refuse({"--trade": args.trade is not None}, "is for plans", "Leave it out, or add --max-error BOUND.")
+    transport = glow_options.transport(args)
+    args.state_format = args.state_format or FORMATS[0]
     if args.out.suffix.lower() == FILM:
         return _say(args, [args.out], _film(args, scene, transport))
     if args.out.name.lower().endswith(BASIS):
@@ -260,20 +172,10 @@ def _by_plan(args: argparse.Namespace, scene: Scene) -> tuple[list[Path], Sequen
 
 def _refuse_what_a_plan_decides(args: argparse.Namespace) -> None:
     """Refuse options that a plan answers itself: to take neither silently is better than to take one."""
-    decided = {
-        "--max-error": args.plan is not None and args.max_error is not None,
-        "--at": args.plan is not None and args.at is not None,
-        "--size": args.plan is not None and args.size is not None,
-        "--solver": args.solver is not None,
-        "--step": args.step is not None,
-        "--state-format": args.state_format != "f32",
-        "--gi": args.gi is not None,
-        "--full-transport": args.full_transport,
-        "--debug": bool(args.debug),
-        BASIS: args.out.name.lower().endswith(BASIS),
-    }
+    saved = ("max_error", "at", "size") if args.plan is not None else ()
+    decided = (*saved, "solver", "step", "state_format", *glow_options.NAMES, "debug")
     _refuse(
-        decided,
+        {**_given(args, decided), BASIS: args.out.name.lower().endswith(BASIS)},
         "is decided by the plan, or cannot be had with one",
         "Leave it out, or render without --max-error and --plan.",
     )
@@ -281,12 +183,9 @@ def _refuse_what_a_plan_decides(args: argparse.Namespace) -> None:
 
 def _refuse_what_a_basis_knows(args: argparse.Namespace) -> None:
     """Refuse options that say how to render, where nothing is rendered: a bound, say, would not be held."""
-    rendered = (
-        *("max_error", "plan", "gi", "size", "solver", "step", "debug", "full_transport", "lamp_bounces"),
-        *("glow_excites", "directions", "guided", "filter", "cell", "detail", "surfel", "epsilon", "levels"),
-    )
+    rendered = ("max_error", "plan", "trade", "size", "solver", "step", "state_format", "debug")
     _refuse(
-        {f"--{name.replace('_', '-')}": bool(getattr(args, name)) for name in rendered},
+        _given(args, (*rendered, *glow_options.NAMES)),
         "belongs to rendering, and a fade basis is rendered already",
         "Leave it out, or name the scene in place of the basis.",
     )
@@ -298,44 +197,16 @@ def _refuse_what_a_basis_knows(args: argparse.Namespace) -> None:
         )
 
 
+def _given(args: argparse.Namespace, names: Sequence[str]) -> dict[str, bool]:
+    """Return by option whether it was given."""
+    return {glow_options.flag(name): getattr(args, name) not in (None, []) for name in names}
+
+
 def _refuse(given: Mapping[str, bool], problem: str, remedy: str) -> None:
     """Refuse the first option that was given."""
     for option, is_given in given.items():
         if is_given:
             raise PhoslabError(problem, field=option, remedy=remedy)
-
-
-def _transport(args: argparse.Namespace) -> TransportParameters:
-    """Return what the arguments say of glow transport; what they leave out is the renderer's own default.
-
-    Raises:
-        PhoslabError: light is to be followed to its end by a way that cannot.
-    """
-    from phoslab.render import TransportParameters
-
-    if args.full_transport and args.gi != "reference":
-        raise PhoslabError(
-            "belongs to --gi reference", field="--full-transport", remedy="Add it, or use --bounces N."
-        )
-    said = {
-        "directions": args.directions,
-        "guided": args.guided,
-        "filter_px": args.filter,
-        "cell": args.cell,
-        "detail": args.detail,
-        "surfel": args.surfel,
-        "epsilon": args.epsilon,
-        "levels": args.levels,
-        "samples": args.samples,
-    }
-    return TransportParameters(
-        args.gi or DEFAULT,
-        full=args.full_transport,
-        bounces=args.bounces,
-        lamps=args.lamp_bounces,
-        excites=args.glow_excites,
-        **{k: v for k, v in said.items() if v is not None},
-    )
 
 
 def _check_film(args: argparse.Namespace) -> None:
@@ -429,12 +300,6 @@ def _positive(text: str) -> float:
     if not 0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r} is no positive number")
     return number
-
-
-def _count(text: str) -> int:
-    if not re.fullmatch(r"\d{1,7}", text, re.ASCII) or not 1 <= int(text) <= MOST_SAMPLES:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 to {MOST_SAMPLES}")
-    return int(text)
 
 
 def _time(text: str) -> str:

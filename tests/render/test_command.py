@@ -48,6 +48,7 @@ def test_every_pass_shows_what_it_made(scene, tmp_path, capsys):
 
 def test_the_command_line_knows_the_names_that_the_renderer_knows():
     """It holds them as literals, so that `--help` loads no renderer."""
+    from phoslab.app import glow_options
     from phoslab.app import render as command
     from phoslab.render.fade_basis import SUFFIX
     from phoslab.render.glow_methods import NAMES
@@ -59,7 +60,7 @@ def test_the_command_line_knows_the_names_that_the_renderer_knows():
     assert command.FORMATS == tuple(FORMATS)
     assert command.PASSES == DEBUG_NAMES
     assert command.VIEWS == TRANSPORT_VIEWS
-    assert command.METHODS == NAMES
+    assert glow_options.METHODS == NAMES
     assert command.BASIS == SUFFIX
 
 
@@ -109,6 +110,14 @@ def test_bad_usage_exits_with_2_before_the_scene_is_looked_at(tmp_path, capsys, 
         (["--gi", "tiles", "--directions", "1000"], "the number of directions is 1000"),
         (["--gi", "tiles", "--cell", "nan"], "the cells' radius is nan"),
         (["--to", "2"], "--to belongs to a film"),
+        (["--gi", "tiles", "--surfel", "0.1"], "--surfel is for --gi dss, dss-z, and this is tiles"),
+        (["--gi", "none", "--filter", "0"], "--filter is for --gi tiles, dss-z, and this is none"),
+        (["--gi", "dss", "--detail", "0.1"], "--detail is for --gi tiles, and this is dss"),
+        (["--samples", "9"], "--samples is for --gi reference, and this is tiles"),
+        (["--full-transport"], "--full-transport is for --gi reference"),
+        (["--gi", "reference", "--lamp-bounces"], "--lamp-bounces is for --gi tiles, dss, dss-z"),
+        (["--gi", "reference", "--full-transport", "--bounces", "3"], "--bounces ends light that"),
+        (["--trade", "trade.json"], "--trade is for plans"),
     ],
 )
 def test_an_error_is_one_sentence_and_exit_code_1(scene, tmp_path, capsys, arguments, says):

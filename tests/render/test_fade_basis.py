@@ -69,7 +69,7 @@ def test_no_sum_before_it_begins_nor_in_the_light(refuses):
     scene = load_scene(SCENES / "cornell")
     basis = render_fade_basis(scene, "off+1s", size=(8, 8))
     assert "before 21 s" in refuses(basis.at, 20.5)
-    assert "a light is on at 5 s" in refuses(render_fade_basis, scene, 5.0, size=(8, 8))
+    assert "cannot begin at 5 s: a light is on" in refuses(render_fade_basis, scene, 5.0, size=(8, 8))
 
 
 def test_a_basis_file_gives_any_later_picture(tmp_path, capsys):
@@ -123,7 +123,19 @@ def test_a_basis_is_shown_as_its_scene_is(tmp_path, capsys):
     assert abs(seen[0] - seen[1]).max() <= 1
 
 
-@pytest.mark.parametrize("option", [["--gi", "none"], ["--max-error", "3%"], ["--size", "9x9"], []])
+@pytest.mark.parametrize(
+    "option",
+    [
+        ["--gi", "none"],
+        ["--filter", "0"],
+        ["--samples", "9"],
+        ["--state-format", "f16"],
+        ["--trade", "trade.json"],
+        ["--max-error", "3%"],
+        ["--size", "9x9"],
+        [],
+    ],
+)
 def test_what_is_rendered_already_takes_no_options_of_rendering(tmp_path, capsys, option):
     path, out = tmp_path / "glow.basis.exr", tmp_path / ("late.exr" if option else "late.basis.exr")
     assert main(["render", "fading", "-o", str(path), "--size", "16x12", "--gi", "none"]) == 0
