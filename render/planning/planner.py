@@ -211,7 +211,8 @@ class Planner:
         return self._ways[key]
 
     def _judge(self, gi: Mapping[str, Any], tried: float | None) -> transport_terms.Way:
-        noise = self.path_noise if gi["method"] == transport_terms.REFERENCE else PathNoise(0.0)
+        told = gi["method"] == NONE or tried is not None or not transport_terms.traces_paths()
+        noise = PathNoise(0.0) if told else self.path_noise
         return transport_terms.judge(self.pilot, self.request.bound, self.costs, noise, gi, tried)
 
     @cached_property
