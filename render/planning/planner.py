@@ -119,9 +119,9 @@ class Planner:
 
     def try_quicker(self, choices: Choices) -> bool:
         """Try here what would be quicker than paths, if they take long; return whether there is more to know."""
-        quick = self.rival(choices, can_try) if _traces(choices) else None
+        quick = self._quicker(choices) if _traces(choices) else []
         left = BUDGET * self.request.bound.value - min(error for _, error in self._rest)
-        return quick is not None and self._try(quick, choices, left)
+        return self._try(quick, choices, left)
 
     def try_out(self, choices: Choices) -> bool:
         """Try a way here that stands for paths which would take long; return whether there is more to know."""
@@ -130,48 +130,78 @@ class Planner:
         instead = self._cheapest(transport_terms.REFERENCE)
         own = self.band_error(Bands(np.array(choices.bands_nm))) + self.step_error(self.stepped(choices))
         left = self.request.bound.value - own - sum(self._surface_errors(choices.surfaces))
-        return instead is not None and can_try(choices.gi) and self._try(choices, instead, left)
+        return instead is not None and can_try(choices.gi) and self._try([choices], instead, left)
 
-    def _try(self, quick: Choices, instead: Choices, left: float) -> bool:
-        """Try a way for no longer than it takes to tell whether it adds less than is left of the bound."""
-        rounds = list(self._rounds(quick, TRIAL * self.predict_s(instead)))
-        glows = any(surface.glows for surface in quick.surfaces.values())
-        if self.was_tried(quick.gi) or not rounds or not glows:
+    def _quicker(self, choices: Choices) -> list[Choices]:
+        """Return the ways that err least, of those that can be tried and are quicker than paths: the quicker first.
+
+        Two, since the finest may be finer than this scene needs.
+        """
+        best = self.rival(choices, can_try)
+        if best is None:
+            return []
+        alike = [
+            replace(choices, gi=gi)
+            for gi in self._settings
+            if all(gi.get(k) == best.gi.get(k) for k in ("method", "bounces")) and can_try(gi)
+        ]
+        own_s = self.predict_s(choices)
+        finest = sorted(alike, key=lambda each: self.way(each.gi).error)[:2]
+        return sorted((each for each in finest if self.predict_s(each) < own_s), key=self.predict_s)
+
+    def _try(self, quick: Sequence[Choices], instead: Choices, left: float) -> bool:
+        """Try ways for no longer than it takes to tell whether one of them adds less than is left of the bound.
+
+        Args:
+            quick: of as many reflections each. Another is drawn only where those before it do not do.
+            instead: paths, of whose time a little may be spent.
+
+        Returns:
+            Whether there is more to know.
+        """
+        quick = [replace(each, bands_nm=self._few_bands) for each in quick if not self.was_tried(each.gi)]
+        glows = any(surface.glows for each in quick for surface in each.surfaces.values())
+        allowed_s = TRIAL * self.predict_s(instead)
+        if not glows or self._trial_s(quick[:1], ROUNDS[0]) > allowed_s:
             return False
         with nullcontext(self._device) if self._device is not None else Device() as device:
-            trial = Trial(self.pilot, self.request.size, replace(quick, bands_nm=self._few_bands), device)
-        at_most = spread = math.inf
-        for samples in rounds:
-            trial.follow(samples)
-            found = trial.found()
-            if found is None:
-                return False
-            at_most = found.at_most
-            if (
-                self._judge(quick.gi, found.at_least).error > left
-                or self._judge(quick.gi, found.at_most).error <= left
-            ):
-                break
-            if found.spread > NO_SURER * spread:
-                break
-            spread = found.spread
-        self._tried[_key(quick.gi)] = at_most
-        self._ways.pop(_key(quick.gi), None)
+            trial = Trial(self.pilot, self.request.size, quick[0], device)
+            drawn: list[Array] = []
+            spreads = np.full(len(quick), np.inf)
+            for samples in ROUNDS:
+                if self._trial_s(quick[: max(1, len(drawn))], trial.paths + samples) > allowed_s:
+                    break
+                trial.follow(samples)
+                may_do = surer = False
+                for k, each in enumerate(quick):
+                    if k == len(drawn):
+                        if self._trial_s(quick[: k + 1], trial.paths) > allowed_s:
+                            break
+                        drawn.append(trial.draw(each))
+                    found = trial.found(drawn[k])
+                    if found is None:
+                        return False
+                    self._tried[_key(each.gi)] = found.at_most
+                    self._ways.pop(_key(each.gi), None)
+                    if self.way(each.gi).error <= left:
+                        return True
+                    may_do |= self._judge(each.gi, found.at_least).error <= left
+                    surer |= not found.spread > NO_SURER * spreads[k]
+                    spreads[k] = found.spread
+                if not (may_do and surer):
+                    break
         return True
 
-    def _rounds(self, quick: Choices, allowed_s: float) -> Iterator[int]:
-        """Yield the paths of each round of a trial that can be had for so many s."""
-        few = replace(quick, bands_nm=self._few_bands)
-        work = replace(self._work(quick), supersampling=SUPERSAMPLING, times=1, drawn=1)
-        seen, traced = (replace(work, size=trial_size(self.request.size, side)) for side in (SIDE, MIDDLE))
-        paths = 0
-        for samples in ROUNDS:
-            paths += 2 * samples
-            gi = {"method": transport_terms.REFERENCE, "samples": paths, "full": True}
-            took_s = self.costs.predict_s(few, seen) + self.costs.predict_s(replace(few, gi=gi), traced)
-            if took_s > allowed_s:
-                return
-            yield samples
+    def _trial_s(self, quick: Sequence[Choices], paths: int) -> float:
+        """Return the predicted time in s of a trial of some ways, beside so many paths a pixel twice."""
+        gi = {"method": transport_terms.REFERENCE, "samples": 2 * paths, "full": True}
+        windows_s = sum(self._window_s(each, SIDE) for each in quick)
+        return windows_s + self._window_s(replace(quick[0], gi=gi), MIDDLE)
+
+    def _window_s(self, choices: Choices, side: int) -> float:
+        """Return the time in s of all windows of so many pixels along a side."""
+        work = replace(self._work(choices), supersampling=SUPERSAMPLING, times=1, drawn=1)
+        return self.costs.predict_s(choices, replace(work, size=trial_size(self.request.size, side)))
 
     def was_tried(self, gi: Mapping[str, Any]) -> bool:
         """Whether what it errs by was found in this scene."""

@@ -99,47 +99,66 @@ def estimate(quick: Array, one: Array, other: Array) -> Estimate | None:
 
 
 class Trial:
-    """Windows of a picture by a quick way to transport glow, beside more and more paths.
+    """Windows of a picture by quick ways to transport glow, beside more and more paths.
 
-    Where paths begin anywhere in a pixel (without LLVM), what edges differ by counts as the way's error.
+    Where paths begin anywhere in a pixel (without LLVM), what edges differ by counts as a way's error.
 
     Args:
         pilot: at whose moment with the most reflected glow they are compared.
         size: (width, height) of the whole picture.
-        quick: how the scene is modelled, by a way that `can_try` allows; some surface glows. Bands that are few do,
-            since light of all goes the same ways.
-        device: what it is drawn on.
+        quick: as for `draw`: what the scene is modelled by for the paths, and how often its light is reflected.
+        device: what they are drawn on.
+
+    Attributes:
+        paths: that were followed, for each pixel of each of the two pictures.
 
     Raises:
         PhoslabError: Mitsuba is not installed.
     """
 
     def __init__(self, pilot: Pilot, size: tuple[int, int], quick: Choices, device: Device) -> None:
-        moment = float(pilot.moments[most_reflected(pilot)])
-        scene = apply(pilot.scene, quick)
-        cameras, (width, height) = windows(scene.camera, size)
-        self._cameras, self._size = windows(scene.camera, size, MIDDLE)
-        self._to_xyz = xyz_matrix(scene.transport)
-        transport = transport_parameters(quick)
-        self._reflections = transport.bounces
+        self._device, self._scene = device, pilot.scene
+        self._moment = float(pilot.moments[most_reflected(pilot)])
+        self._wide, self._wide_size = windows(pilot.scene.camera, size)
+        self._cameras, self._size = windows(pilot.scene.camera, size, MIDDLE)
+        self._reflections = transport_parameters(quick).bounces
+        with device.scope():
+            renderer = self._renderer(quick, TransportParameters(Reference.name))
+            assert isinstance(renderer.transport, Reference)
+            renderer.light(self._moment)
+            self._meshes = renderer.transport.meshes()
+            self._to_xyz = xyz_matrix(renderer.scene.transport)
+        # Where paths begin in the same places each time, light that comes straight is the same each time, too.
+        self._subtracts = usual_variant() != LLVM
+        self._straight: Array | float = 0.0
+        if not self._subtracts:
+            self._straight = self._trace(SUPERSAMPLING**2, 0, reflections=0, direct=True)
+        self._traced: list[Array | float] = [0.0, 0.0]
+        self.paths = 0
+
+    def _renderer(self, quick: Choices, transport: TransportParameters) -> Renderer:
+        """Return what draws all windows side by side."""
+        width, height = self._wide_size
         parameters = RenderParameters(
-            (len(cameras) * width, height),
+            (len(self._wide) * width, height),
             SUPERSAMPLING,
             stepping=Stepping(quick.solver, quick.step_s, quick.state_format),
             transport=transport,
         )
-        with device.scope():
-            renderer = Renderer(device, scene, parameters)
-            renderer.look_through(cameras)
-            self._quick = self._middles(renderer.reflected(moment) @ self._to_xyz)
-            self._meshes = Reference(device, renderer.surroundings, transport).meshes()
-        # Where paths begin in the same places each time, light that comes straight is the same each time, too.
-        self._straight = np.zeros_like(self._quick)
-        self._subtracts = usual_variant() != LLVM
-        if not self._subtracts:
-            self._straight = self._trace(SUPERSAMPLING**2, 0, reflections=0, direct=True)
-        self._traced = [np.zeros_like(self._quick) for _ in range(2)]
-        self._paths = 0
+        renderer = Renderer(self._device, apply(self._scene, quick), parameters)
+        renderer.look_through(self._wide)
+        return renderer
+
+    def draw(self, quick: Choices) -> Array:
+        """Return XYZ of the windows' middles by a way.
+
+        Args:
+            quick: how the scene is modelled, by a way that `can_try` allows; some surface glows. Bands that are few do,
+                since light of all goes the same ways. All of one trial have the same bands, and as many reflections.
+        """
+        with self._device.scope():
+            renderer = self._renderer(quick, transport_parameters(quick))
+            return self._middles(renderer.reflected(self._moment) @ self._to_xyz)
 
     def _middles(self, picture: Array) -> Array:
         """Return (h, n w, K) the middles of windows of a picture."""
@@ -152,11 +171,11 @@ class Trial:
         """Trace so many more paths a pixel, for each of the two pictures."""
         for k in range(2):
             more = self._trace(
-                samples, 2 * self._paths + k, reflections=self._reflections, direct=not self._subtracts
+                samples, 2 * self.paths + k, reflections=self._reflections, direct=not self._subtracts
             )
-            share = samples / (self._paths + samples)
+            share = samples / (self.paths + samples)
             self._traced[k] += share * (more - self._straight - self._traced[k])
-        self._paths += samples
+        self.paths += samples
 
     def _trace(self, samples: int, seed: int, **what: Any) -> Array:
         """Return XYZ of the windows' middles by so many paths a pixel."""
@@ -172,9 +191,9 @@ class Trial:
         )
         return np.asarray(radiance @ self._to_xyz, dtype=np.float64)
 
-    def found(self) -> Estimate | None:
-        """Return what the way errs by, as far as is known; None: too little of the light is seen."""
-        return estimate(*(self._by_part(picture) for picture in (self._quick, *self._traced)))
+    def found(self, drawn: Array) -> Estimate | None:
+        """Return what a way errs by that has drawn this, as far as is known; None: too little of the light is seen."""
+        return estimate(*(self._by_part(np.asarray(picture)) for picture in (drawn, *self._traced)))
 
     def _by_part(self, picture: Array) -> Array:
         """Return (n, m) the windows, or as many parts of the only one, of equal size: what is over is left out."""

@@ -46,10 +46,11 @@ def cornell():
 
 def tried(cornell, device, rounds, size=SIZE, **gi):
     plain, pilot = cornell
-    made = Trial(pilot, size, replace(plain, gi={**TILES, **gi}), device)
+    quick = replace(plain, gi={**TILES, **gi})
+    made = Trial(pilot, size, quick, device)
     for samples in rounds:
         made.follow(samples)
-    return made.found()
+    return made.found(made.draw(quick))
 
 
 def planned(scene, bound, device):
@@ -239,7 +240,7 @@ def test_what_is_not_seen_in_the_windows_is_not_taken_to_be_right(cornell, devic
             turned = [
                 replace(c, world_to_view=np.diag([-1.0, 1, -1, 1]) @ c.world_to_view) for c in self._cameras
             ]
-            self._cameras, self._quick = turned, 0 * self._quick
+            self._cameras, self._wide = turned, turned
 
     monkeypatch.setattr(planning, "Trial", Elsewhere)
     planner = planned(scene, "1%", device)
@@ -248,18 +249,22 @@ def test_what_is_not_seen_in_the_windows_is_not_taken_to_be_right(cornell, devic
     assert not planner.was_tried(planner.rival(chosen).gi)
 
 
-@pytest.mark.parametrize(("bound", "rounds"), [("0.1%", ROUNDS[:2]), ("4%", ROUNDS[:1])])
-def test_a_trial_ends_when_it_is_known_whether_a_way_will_do(cornell, device, monkeypatch, bound, rounds):
-    """A bound that is far from what tiles err by takes few rounds."""
+@pytest.mark.parametrize(("bound", "rounds", "ways"), [("0.1%", 2, 2), ("4%", 1, 1)])
+def test_a_trial_ends_when_it_is_known_whether_a_way_will_do(
+    cornell, device, monkeypatch, bound, rounds, ways
+):
+    """A bound that is far from what tiles err by takes few rounds, and the finest tiles where others will not do."""
     pytest.importorskip("mitsuba")
-    followed = []
-    follow = Trial.follow
+    followed, drawn = [], []
+    follow, draw = Trial.follow, Trial.draw
     monkeypatch.setattr(Trial, "follow", lambda self, n: (followed.append(n), follow(self, n)))
+    monkeypatch.setattr(Trial, "draw", lambda self, quick: (drawn.append(quick.gi), draw(self, quick))[1])
     planner = planned(cornell[1].scene, bound, device)
     paths = {"method": "reference", "samples": 65536, "full": True}
     assert planner.try_quicker(replace(cornell[0], gi=paths))
-    assert followed
-    assert len(followed) <= len(rounds)
+    assert 1 <= len(followed) <= rounds
+    assert len(drawn) == ways
+    assert all(planner.was_tried(gi) for gi in drawn)
 
 
 def test_a_trial_ends_when_more_paths_tell_no_more(cornell, device, monkeypatch):

@@ -57,11 +57,12 @@ LEAST_UNEVENNESS = 0.01
 # Paths a pixel that are timed, and how often: the shortest counts.
 TIMED_SAMPLES, REPEATS = (4, 64), 3
 
-# What a way is measured with, and after how many reflections; else with its defaults. The last of tiles is for large
-# pictures of which much is asked.
+# What a way is measured with, and after how many reflections; else with its defaults. The last two of tiles are for
+# large pictures of which much is asked.
 FINE = {"directions": 128, "filter_px": 2, "cell": 1 / 80, "detail": 0.15}
+FINEST = {**FINE, "directions": 256, "cell": 1 / 160}
 SETTINGS: dict[str, tuple[Sequence[dict[str, Any]], tuple[int, ...]]] = {
-    "tiles": ([*({"directions": n} for n in (4, 8, 16, 64)), FINE], (1, 3)),
+    "tiles": ([*({"directions": n} for n in (4, 8, 16, 64)), FINE, FINEST], (1, 3)),
     "dss-z": ([{"directions": n} for n in (4, 16)], (1,)),
 }
 REFERENCE = "reference"
