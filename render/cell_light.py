@@ -20,6 +20,7 @@ from phoslab.render.device import Device, read_array, read_texture, set_uniforms
 from phoslab.render.gpu_scene import GpuDrawable
 from phoslab.render.optics import layer_count
 from phoslab.render.shadow_map import ShadowMap
+from phoslab.render.superposition import Superposition
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -68,6 +69,7 @@ class CellLight:
         self.points, self.normals = middles(tree.cells)
         zeros = np.zeros((m, 2, self.layers, 4), dtype=np.float32)
         self.leaves, self._light = device.buffer(zeros), device.buffer(zeros)
+        self._sums = Superposition(self._followed)
         self._rays: CellRays | None = None
         if bounces > 1:
             sides = np.stack([self.normals, -self.normals], axis=1).reshape(-1, 3)
@@ -89,12 +91,15 @@ class CellLight:
         """
         sent = np.zeros((len(emitted), 2, emitted.shape[1]))
         sent[:, 0] = emitted
-        total = sent.copy()
         if self._lamps is not None:
-            lit = self._reflectances * self._lamp_light(self._lamps, factors) / np.pi
-            sent, total = sent + lit, total + lit
+            sent += self._reflectances * self._lamp_light(self._lamps, factors) / np.pi
+        return sent if self._rays is None else self._sums.of(sent)
+
+    def _followed(self, sent: Array) -> Array:
+        """Return (m, 2, 4 layers) what cells send, with what they reflect of that."""
+        total = sent.copy()
         for _ in range(self._bounces - 1):
-            scale = float(sent.max())
+            scale = float(np.abs(sent).max())
             if scale == 0.0:
                 break
             sent = scale * self._reflectances * self._gathered(sent / scale)

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from phoslab.render import TransportParameters, load_scene, render
+from phoslab.render.cell_light import CellLight
+from phoslab.render.device import read_texture
 from phoslab.render.phosphor_state import Stepping
 from phoslab.render.renderer import Renderer, RenderParameters
 from phoslab.sample_data.make_scenes import SCENES
@@ -93,8 +95,6 @@ def exciting(build, rooms):
 
 def at_middle(state) -> float:
     """The mean state near the middle of the receiver."""
-    from phoslab.render.device import read_texture
-
     position = read_texture(state.atlas.position_w)
     near = (position[..., 3] > 0) & (np.hypot(position[..., 0], position[..., 1]) < 0.1)
     return float(state.shown.read()[near, 0].mean())
@@ -141,6 +141,50 @@ def test_glow_that_excites_nothing_is_left_out_and_said_to_be(build, rooms):
     path = build.text(toml + rooms.SATURATED).write()
     frames = tiles(path, (8, 8), [0, 1000.0], step_s=1e-4, excites=True)
     assert "no material is excited" in frames.warnings[0]
+
+
+def test_in_the_dark_light_is_followed_from_cell_to_cell_for_its_rates_alone(device, monkeypatch):
+    """Of `cornell`, for its two rates, and for what float32 rounds off of the first pictures, which are alike: up
+    to three times as often. The last picture is that of a renderer that drew none before, to what 64 rays round off."""
+    scene = load_scene(SCENES / "cornell")
+    parameters = RenderParameters((16, 16), 1, transport=TransportParameters("tiles", bounces=4, cell=0.1))
+    rates = {r for d in scene.phosphors for r in d.phosphor.optics.uniform_kr.tolist()}
+    followed = []
+    follow = CellLight._followed
+    monkeypatch.setattr(
+        CellLight, "_followed", lambda self, sent: (followed.append(1), follow(self, sent))[1]
+    )
+    off = scene.schedule.parse_time("off")
+    with device.scope():
+        renderer = Renderer(device, scene, parameters)
+        some = [renderer.frame(off + t).radiance for t in np.linspace(0.1, 20, 30)]
+    assert len(followed) <= 3 * len(rates)
+    with device.scope():
+        alone = Renderer(device, scene, parameters).frame(off + 20).radiance
+    np.testing.assert_allclose(some[-1], alone, rtol=1e-4, atol=1e-5 * alone.max())
+
+
+@pytest.mark.parametrize("islands", ["one", "side by side", "swapped", "turned"])
+def test_seams_of_an_atlas_do_not_show_where_glow_charges(build, rooms, device, islands):
+    """A disk above the middle of a floor whose atlas is cut there: strips of four texels to either side are charged
+    alike, within 1 %, by which the even rays of a single texel are off."""
+    at, triangles = rooms.disk(rooms.SENDER, 0.0, -1.0)
+    turn = [-np.sqrt(0.5), 0, 0, np.sqrt(0.5)]  # to look down
+    uv = at[:, :2] / (2.1 * rooms.SENDER) + 0.5
+    rooms.floor_by_wall(build, islands).mesh(
+        "sender", at, triangles, uv=uv, rotation=turn, translation=[0, 0.3, 0.5]
+    )
+    toml = rooms.write_material(build, "sender", [0.01, 0.02, 0.04], [0.0] * 3)
+    saturated = 'atlas_texels = 64\ninitial = { state = "saturated" }'
+    build.text(toml.replace("atlas_texels = 64", saturated) + "\n[units]\nradiance_factor = 1.0\n")
+    renderer = lit_state(device, build.write(), 0.5, 0.5, excites=True)
+    (floor,) = (s for s in renderer.states if s.drawable.drawable.name == "floor")
+    position = read_texture(floor.atlas.position_w)
+    x, r = position[..., 0], floor.shown.read()[..., 0]
+    near = (position[..., 3] > 0) & (np.abs(x) < 4 / 64)
+    left, right = (r[near & side].mean() for side in (x < 0, x > 0))
+    assert left > 0
+    assert left == pytest.approx(right, rel=0.01)
 
 
 def before_a_wall(build, rooms) -> Path:
