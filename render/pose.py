@@ -27,6 +27,16 @@ class Pose:
     lights: tuple[Light, ...]
     camera: GltfCamera
 
+    @property
+    def stands(self) -> tuple[bytes, ...]:
+        """Where drawables are, to compare."""
+        return tuple(model.tobytes() for model in self.models)
+
+    @property
+    def seen(self) -> tuple[bytes, ...]:
+        """What the camera sees, to compare: wherever the lights are."""
+        return (*self.stands, self.camera.world_to_view.tobytes())
+
 
 def pose_at(scene: Scene, t_s: float) -> Pose:
     """Return where everything is at `t_s`.

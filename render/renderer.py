@@ -1,11 +1,11 @@
 """The renderer: an explicit list of passes, from light to pixels.
 
 shadow_map        depth of every light's views            once, and per move
-atlas_geometry    what lies under each texel              once, and per move; per phosphor
+atlas_geometry    what lies under each texel              once, and per move of a drawable; per phosphor
 atlas_irradiance  K-band light on each texel              once, and per move; per phosphor and course of light
 excitation        a_i of each texel                       once, and per move; per phosphor and course of light
 phosphor_step     the state at the picture's time         per picture and change of light, or step; per phosphor
-gbuffer           what the camera sees                    once, and per picture while anything moves
+gbuffer           what the camera sees                    once, and per move of a drawable or the camera
 direct_light      reflected lamp light                    per picture
 glow              light of the phosphors                  per picture, per phosphor
 atlas_glow        light that the phosphors send           per picture, per phosphor
@@ -128,7 +128,9 @@ class Renderer:
         # For which times things are in place, and light falls on the atlases: None is for none.
         self._placed_s: float | None = None
         self._excited_s: float | None = None
-        self._seen_s: float | None = None
+        # Where things stand, and what the camera saw last.
+        self._stands: tuple[bytes, ...] | None = None
+        self._seen: tuple[bytes, ...] | None = None
         # Since when it has been dark where glow was last looked for: None while a light is on.
         self._dark_since_s: float | None = None
         self._windows: Sequence[GltfCamera] = ()
@@ -194,13 +196,15 @@ class Renderer:
         first = self._placed_s is None
         self._placed_s = t_s
         self._pose = pose_at(self.scene, t_s)
-        if first or self._moves_lit:
+        if self._pose.stands != self._stands:
+            self._stands = self._pose.stands
             for drawable, model_to_world in zip(self.drawables, self._pose.models, strict=True):
                 drawable.place(model_to_world)
-            self.shadow_map.place(self._pose.lights)
-            self.shadow_map.run()
             for state in self.states:
                 state.atlas.run()
+        if first or self._moves_lit:
+            self.shadow_map.place(self._pose.lights)
+            self.shadow_map.run()
 
     def _excite(self, t_s: float) -> None:
         """Find the excitation under the lights where everything is at `t_s`."""
@@ -217,12 +221,12 @@ class Renderer:
         """Find what the camera sees at `t_s`, and which way glow takes; the states are those of then."""
         self._place(t_s)
         since = self.scene.schedule.dark_since_s(t_s)
-        moved = self._placed_s != self._seen_s
+        moved = self._pose.seen != self._seen
         if moved:
             self.gbuffer.run(*(self._windows or [self._pose.camera]))
         if self.transport is not None and (moved or (self.transport.aims and since != self._dark_since_s)):
             self.prepare_transport(t_s)
-        self._seen_s, self._dark_since_s = self._placed_s, since
+        self._seen, self._dark_since_s = self._pose.seen, since
 
     def prepare_transport(self, t_s: float) -> None:
         """Find which way glow takes to what the camera sees: what holds until something moves, or a light is switched.
@@ -263,7 +267,7 @@ class Renderer:
 
         Not for ways of glow that read "camera".
         """
-        self._windows, self._seen_s = cameras, None
+        self._windows, self._seen = cameras, None
 
     def reflected(self, t_s: float) -> NDArray[np.float32]:
         """Render (h, w, K) the glow that surfaces reflect at `t_s`, alone, where it is transported."""
