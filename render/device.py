@@ -278,11 +278,28 @@ class Device:
         )
 
     def _build(self, key: tuple[Any, ...], build: Callable[[], T]) -> T:
+        """Return what was built, or build it.
+
+        Raises:
+            PhoslabError: the driver cannot: it has fewer buffers for a shader, say, than we need.
+        """
         for scope in reversed(self._scopes):
             if key in scope.programs:
                 found: T = scope.programs[key]
                 return found
-        built = self._scopes[-1].programs[key] = self._keep(build())
+        try:
+            made = build()
+        except moderngl.Error as error:
+            why = next(
+                (line for line in map(str.strip, str(error).splitlines()) if "rror" in line),
+                "no reason given",
+            )
+            raise PhoslabError(
+                f"({self.renderer}) cannot build the shader {key[0]!r} ({why})",
+                field="the OpenGL driver",
+                remedy="Take another driver (LIBGL_ALWAYS_SOFTWARE=1 draws on processors), or another --gi.",
+            ) from error
+        built = self._scopes[-1].programs[key] = self._keep(made)
         return built
 
     def vertex_array(

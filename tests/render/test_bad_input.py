@@ -162,6 +162,19 @@ def test_no_opengl_says_what_to_install(refuses):
     assert "apt-get install libgl1 libegl1 libgl1-mesa-dri" in message
 
 
+@pytest.mark.parametrize(
+    "shader", ["nonsense;", "layout(std430, binding = 65535) buffer Many { int many[]; };"]
+)
+def test_a_shader_that_a_driver_cannot_build_is_said(refuses, monkeypatch, shader):
+    source = "#version 430\nlayout(local_size_x = 1) in;\n" + shader + "\nvoid main() {}\n"
+    monkeypatch.setattr("phoslab.render.device.source", lambda name, defines: source)
+    with Device() as device:
+        message = refuses(device.compute, "tile_hits")
+        assert device.renderer in message
+    assert "cannot build the shader 'tile_hits'" in message
+    assert "LIBGL_ALWAYS_SOFTWARE=1" in message
+
+
 def test_a_vertex_that_is_not_a_number_is_refused(build, refuses):
     points = np.array([[-0.5, -0.5, 0], [0.5, np.nan, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
     message = refuses(load_scene, build.mesh("quad", points).camera().write())
