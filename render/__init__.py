@@ -224,6 +224,7 @@ def _render(
     faded: dict[int, int] = {}
     if (
         renderer.transport is not None
+        and renderer.transport.linear
         and not parameters.debug
         and not renderer.exciting
         and find_solver(parameters.stepping.solver).closed_form
@@ -239,6 +240,16 @@ def _render(
             basis = renderer.fade_basis(t_s)
         assert basis is not None
         yield renderer.faded_frame(basis, t_s, label)
+
+
+def fade_basis_warnings(transport: TransportParameters) -> tuple[str, ...]:
+    """Return what to know of a fade basis whose glow was transported so."""
+    if transport.method == NONE or find_method(transport.method).linear:
+        return ()
+    return (
+        f"{transport.method} follows light as far as it is bright: pictures from this basis are within some per cent "
+        "of those rendered at their time, and not the same",
+    )
 
 
 def render_fade_basis(

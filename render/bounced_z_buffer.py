@@ -52,6 +52,7 @@ class BouncedZBuffer:
 
     name: ClassVar[str] = "dss-z"
     aims: ClassVar[bool] = False
+    linear: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = (
         "meshes",
         "camera",

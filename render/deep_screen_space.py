@@ -40,6 +40,8 @@ class DeepScreenSpace:
 
     name: ClassVar[str] = "dss"
     aims: ClassVar[bool] = False
+    # How far a disk's light is followed depends on how bright it is.
+    linear: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = (
         "meshes",
         "camera",

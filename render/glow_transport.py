@@ -40,8 +40,9 @@ class TransportParameters:
         directions: in which a pixel looks for glow, 1 to 256 (tiles, dss-z).
         guided: the share of the directions that aim at what may send light (tiles, dss-z); None: 7/8 where tiles
             gather what glows alone, 1/2 otherwise.
-        filter_px: pixels to each side over which a pixel shares its neighbours' directions: 0, 2, 4 or 8 (tiles).
-        cell: the radius of the smallest cell, as a share of the scene's (tiles).
+        filter_px: pixels to each side over which neighbours share directions: 0, 2, 4 or 8 (tiles, dss-z).
+        cell: the radius of the smallest cell, as a share of the scene's (tiles, and what sends light on: all but
+            reference).
         detail: the radius over the distance that no cell exceeds, unless it is one of the smallest (tiles).
         surfel: the radius of a surfel on the screen, over half the picture's height (dss, dss-z).
         epsilon: the share of the frame's glow below which a surfel's first shell ends (dss, dss-z).
@@ -141,11 +142,13 @@ class GlowTransport(Protocol):
     Attributes:
         reads: what of the scene, the G-buffer and the atlases it takes; "camera": it asks where that is.
         aims: whether it looks for what glows brightly: then it is prepared anew where it has gone dark.
+        linear: whether the light of two glows is the sum of what each gives alone.
     """
 
     name: ClassVar[str]
     reads: ClassVar[tuple[str, ...]]
     aims: ClassVar[bool]
+    linear: ClassVar[bool]
 
     def __init__(
         self, device: Device, surroundings: Surroundings, parameters: TransportParameters

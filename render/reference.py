@@ -27,6 +27,7 @@ class Reference:
 
     name: ClassVar[str] = "reference"
     aims: ClassVar[bool] = False
+    linear: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = ("meshes", "camera", "reflectance", "atlas.radiance")
     writes: ClassVar[tuple[str, ...]] = ("radiance",)
 

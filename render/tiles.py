@@ -52,6 +52,7 @@ class Tiles:
 
     name: ClassVar[str] = "tiles"
     aims: ClassVar[bool] = True
+    linear: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = (
         "meshes",
         "position_w",

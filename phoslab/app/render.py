@@ -113,7 +113,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render, write, and say what was written."""
-    from phoslab.render import load_scene, render, render_fade_basis
+    from phoslab.render import fade_basis_warnings, load_scene, render, render_fade_basis
 
     check_writable(args.out)
     _check_film(args)
@@ -129,6 +129,11 @@ def run(args: argparse.Namespace) -> int:
     if args.out.suffix.lower() == FILM:
         return _say(args, [args.out], _film(args, scene, transport))
     if args.out.name.lower().endswith(BASIS):
+        _refuse(
+            _given(args, ("solver", "step", "debug")),
+            "cannot be chosen for a fade basis",
+            "Leave it out, or name an OUT that ends in .exr alone.",
+        )
         basis = render_fade_basis(
             scene, *_one_time(args.at), transport=transport, size=args.size, state_format=args.state_format
         )
@@ -136,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
         basis.write(
             args.out, scene=folder.resolve().name, off_s=scene.schedule.off_s, exposures=scene.exposures
         )
-        return _say(args, [args.out], scene.warnings)
+        return _say(args, [args.out], [*scene.warnings, *fade_basis_warnings(transport)])
     with progress_bar("rendering") as progress:
         frames = render(
             scene,

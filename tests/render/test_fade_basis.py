@@ -18,9 +18,15 @@ from phoslab.sample_data.make_scenes import SCENES
 FLOAT32 = 128 * 2.0**-24
 TIMES = ("off", "off+0.3s", "off+7s", "off+60s")
 TILES = TransportParameters("tiles", directions=4)
+WAYS = {
+    "none": TransportParameters(),
+    "tiles": TILES,
+    "tiles, sent on": TransportParameters("tiles", directions=4, bounces=3),
+    "dss-z": TransportParameters("dss-z", directions=2, surfel=0.05),
+}
 
 
-@pytest.mark.parametrize("transport", [TransportParameters(), TILES], ids=["none", "tiles"])
+@pytest.mark.parametrize("transport", WAYS.values(), ids=WAYS)
 @pytest.mark.parametrize("name", ["cornell", "fading"])
 def test_the_sum_equals_the_frames(name, transport):
     """Materials of several rates, one of two states, charged unevenly by a lamp."""
@@ -52,6 +58,29 @@ def test_the_traced_picture_fades_by_the_same_sum():
     got = basis.at(t1).sum(axis=(0, 1)) - seen
     bright = want > 0.1 * want.max()
     np.testing.assert_allclose(got[bright], want[bright], rtol=0.03)
+
+
+def test_a_basis_of_dss_is_near_and_is_not_taken_unasked(tmp_path, capsys, monkeypatch):
+    """How far a disk's light is followed depends on its brightness: to --epsilon (2 %) of the frame's glow."""
+    dss = TransportParameters("dss", surfel=0.05)
+    scene = load_scene(SCENES / "cornell")
+    frames = render(scene, [f"off+{k}s" for k in range(8)], size=(24, 24), transport=dss)
+    alone = render(scene, ["off+7s"], size=(24, 24), transport=dss)
+    np.testing.assert_array_equal(frames[7].radiance, alone[0].radiance)
+    basis = render_fade_basis(scene, "off", size=(24, 24), transport=dss)
+    off = basis.at(scene.schedule.parse_time("off+7s")) - alone[0].radiance
+    assert 0 < np.abs(off).max() < 0.05 * alone[0].radiance.max()
+    args = ["render", "cornell", "--size", "16x16", "--gi", "dss", "-o", str(tmp_path / "a.basis.exr")]
+    assert main(args) == 0
+    assert "within some per cent" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("option", [["--solver", "euler"], ["--step", "1"], ["--debug", "gbuffer"]])
+def test_what_a_basis_cannot_have_is_refused(tmp_path, capsys, option):
+    out = tmp_path / "a.basis.exr"
+    assert main(["render", "cornell", "--size", "16x16", "-o", str(out), *option]) == 1
+    assert f"{option[0]} cannot be chosen" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_a_film_in_the_dark_takes_as_many_pictures_as_there_are_rates(monkeypatch):
