@@ -71,6 +71,43 @@ def test_facing_disks_exchange_their_form_factor(build, rooms, guided):
     np.testing.assert_allclose(seen, rooms.form_factor() * np.array([1.0, 2.0, 4.0]), rtol=0.005)
 
 
+def test_more_directions_are_nearer_to_the_closed_form(build, rooms):
+    """Even directions whose number is multiplied by 8: at random, the error would fall by 2.8."""
+    path = rooms.partly_lit_wall(build).write()
+    few, some, many = (
+        rooms.error_on_the_wall(tiles(path, (32, 32), directions=n, filter_px=0)) for n in (2, 16, 128)
+    )
+    assert few > 2.8 * some > 2.8**2 * many
+
+
+def test_smaller_cells_are_nearer_to_the_closed_form(build, rooms):
+    """Where a floor glows in parts, until the error of the directions is left."""
+    path = rooms.partly_lit_wall(build).write()
+    coarse, middle, fine = (
+        rooms.error_on_the_wall(tiles(path, (32, 32), directions=128, cell=r)) for r in (1.0, 0.3, 0.1)
+    )
+    assert coarse > 2 * middle > 4 * fine
+
+
+def test_a_cell_sends_the_mean_of_what_lies_under_it(device, build, rooms):
+    """Of stripes that divide it: half of what they give off, where a point would find all or nothing; so does every
+    larger cell. Of stripes that it divides, all or nothing, and their mean over what is larger than those."""
+    n, (w, h) = rooms.STRIPED_TEXELS, (16, 16)
+    for period in (8, 128):
+        here = type(build)(build.folder)
+        _, tiled = hits_of(device, rooms.striped_quad(here, period).write(), (w, h), cell=0.1)
+        cells, glow = tiled.cells, tiled.lit_cells.cell_glow
+        sent = cells.averages(glow.emitted())[:, :3]
+        is_smallest = cells.skip == np.arange(1, len(cells.skip) + 1)
+        assert is_smallest.sum() == 128
+        assert (cells.leaf_areas * cells.radius**2 * n**2 > 8**2).all()
+        if period == 8:
+            np.testing.assert_allclose(sent, np.broadcast_to([1.0, 2, 4], sent.shape), rtol=1e-5)
+        else:
+            assert np.isclose(sent[is_smallest, 0, None], [0.0, 2.0], atol=1e-5).any(axis=1).all()
+            np.testing.assert_allclose(sent[0], [1.0, 2.0, 4.0], rtol=1e-5)
+
+
 def hits_of(device, path, size, **parameters):
     transport = TransportParameters("tiles", **parameters)
     renderer = Renderer(device, load_scene(path), RenderParameters(size, 1, transport=transport))
