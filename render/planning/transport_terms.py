@@ -32,9 +32,9 @@ _SIDES = (4, 5, 6, 7, 8, 10, 12, 14, 16, 19, 23, 27, 32, 38, 45, 54, 64, 76, 91,
 SAMPLES = (4, 6, 9, 12, *(k * k for k in _SIDES))
 BOUNCES = (1, 2, 3, 4, 6, 10)
 
-# What n directions err by over what n paths do, of light that is reflected once and of light that is sent on: the most
-# in ten scenes, of 4 and 8 directions.
-FEW_ONCE, FEW = 0.9, 0.5
+# What n directions err by over what a probe takes n paths to err by at most, of light that is reflected once and of
+# light that is sent on: in eight drawn scenes 0.05 to 0.24 and 0.04 to 0.19, of 4 to 16 directions.
+FEW_ONCE, FEW = 0.45, 0.25
 
 
 @dataclass(frozen=True)
