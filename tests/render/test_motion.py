@@ -8,9 +8,12 @@ import pytest
 import phoslab
 from phoslab import kinetics
 from phoslab.render import TransportParameters, load_scene, render
+from phoslab.render.atlas_geometry import AtlasGeometry
+from phoslab.render.gbuffer import GBuffer
 from phoslab.render.motion import CUBIC, Channel
 from phoslab.render.phosphor_state import Stepping
 from phoslab.render.renderer import Renderer, RenderParameters
+from phoslab.render.tiles import Tiles
 
 FLOAT32 = 64 * 2.0**-24
 FROM, TO = (-0.4, 0.0, 1.0), (0.4, 0.0, 1.0)
@@ -77,6 +80,22 @@ def test_after_the_last_key_and_in_the_dark_no_step_is_taken(carried, device, mo
     )
     renderer.frame(1e6)
     assert len(excited) == 1 + 8 + 1  # at first, on the way, at rest
+
+
+def test_a_lamp_that_moves_alone_asks_for_no_new_view(carried, device, monkeypatch):
+    """Pictures are those of a renderer that drew none before."""
+    scene, transport = load_scene(carried.write()), TransportParameters("tiles", directions=2)
+    parameters = RenderParameters((8, 8), 1, Stepping(step_s=0.25), transport)
+    drawn = []
+    for part, name in ((GBuffer, "run"), (AtlasGeometry, "run"), (Tiles, "prepare")):
+        run = getattr(part, name)
+        monkeypatch.setattr(part, name, lambda self, *a, run=run: (drawn.append(run), run(self, *a))[1])
+    with device.scope():
+        renderer = Renderer(device, scene, parameters)
+        last = [renderer.frame(t).radiance for t in (0.1, 0.9, 1.7)][-1]
+    assert len(drawn) == 3
+    with device.scope():
+        np.testing.assert_array_equal(last, Renderer(device, scene, parameters).frame(1.7).radiance)
 
 
 def test_a_shadow_that_moved_away_stays_on_the_wall(quad, device, lamp_toml, green_toml):
