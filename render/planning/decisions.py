@@ -194,7 +194,7 @@ def _transport(planner: Planner, choices: Choices, seconds: float) -> Iterator[T
         "yes" if drawn < times else "no",
         0.0,
         "bound",
-        f"{drawn} pictures, of one rate each, serve {times} times"
+        f"as many pictures as there are rates ({drawn}) serve {times} times"
         if drawn < times
         else "a picture of each rate, to serve all times, would be no fewer than a picture of each time",
     )
