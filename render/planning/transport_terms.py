@@ -33,7 +33,7 @@ SAMPLES = (4, 6, 9, 12, *(k * k for k in _SIDES))
 BOUNCES = (1, 2, 3, 4, 6, 10)
 
 # What n directions err by over what a probe takes n paths to err by at most, of light that is reflected once and of
-# light that is sent on: in eight drawn scenes 0.05 to 0.24 and 0.04 to 0.19, of 4 to 16 directions.
+# light that is sent on: in six drawn scenes 0.05 to 0.24 and 0.04 to 0.19, of 4 to 16 directions.
 FEW_ONCE, FEW = 0.45, 0.25
 
 
