@@ -186,7 +186,7 @@ class Planner:
                     if self.way(each.gi).error <= left:
                         return True
                     may_do |= self._judge(each.gi, found.at_least).error <= left
-                    surer |= not found.spread > NO_SURER * spreads[k]
+                    surer |= found.spread <= NO_SURER * spreads[k]
                     spreads[k] = found.spread
                 if not (may_do and surer):
                     break

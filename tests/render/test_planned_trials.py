@@ -269,7 +269,7 @@ def test_a_trial_ends_when_it_is_known_whether_a_way_will_do(
 
 def test_a_trial_ends_when_more_paths_tell_no_more(cornell, device, monkeypatch):
     pytest.importorskip("mitsuba")
-    monkeypatch.setattr(planning, "NO_SURER", 0.0)
+    monkeypatch.setattr(planning, "NO_SURER", 1e-9)
     followed = []
     follow = Trial.follow
     monkeypatch.setattr(Trial, "follow", lambda self, n: (followed.append(n), follow(self, n)))
