@@ -33,6 +33,11 @@ class MeasuredWay:
     s_per_pixel: float
     once_s: float = 0.0
 
+    @property
+    def reflects_once(self) -> bool:
+        """Whether it was measured with light that is reflected once: that says nothing of cells that send light on."""
+        return bool(self.parameters.get("bounces", 1) == 1)
+
 
 @dataclass(frozen=True)
 class Costs:
@@ -71,6 +76,12 @@ class Costs:
         """Return what was measured with the parameters of `--gi` that are most like these; None: no such method was."""
         alike = [m for m in self.gi if m.method == gi["method"]]
         return min(alike, key=lambda m: unlike(m.parameters, gi), default=None)
+
+    def finest_error(self, like: MeasuredWay) -> float:
+        """Return the least error of a method, for light that is reflected once, or more often, as in `like`."""
+        return min(
+            m.error for m in self.gi if (m.method, m.reflects_once) == (like.method, like.reflects_once)
+        )
 
 
 def unlike(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:

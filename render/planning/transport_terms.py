@@ -68,8 +68,7 @@ def settings(pilot: Pilot, costs: Costs) -> Iterator[dict[str, Any]]:
         if measured.method not in METHODS:
             continue
         for n in BOUNCES:
-            # What was measured with one reflection says nothing of the cells that send light on, and the other way.
-            if (n > 1) == (measured.parameters.get("bounces", 1) > 1):
+            if (n == 1) == measured.reflects_once:
                 yield {"method": measured.method, **measured.parameters, "bounces": n}
     if traces_paths():
         for samples in SAMPLES:
@@ -115,14 +114,9 @@ def _measured(pilot: Pilot, costs: Costs, path_noise: PathNoise, gi: Mapping[str
     if nearest is None:
         return 1.0
     uneven = max(1.0, pilot.reflected_unevenness / costs.unevenness)
-    once = gi.get("bounces", 1) == 1
-    finest = min(
-        m.error
-        for m in costs.gi
-        if m.method == nearest.method and (m.parameters.get("bounces", 1) == 1) == once
-    )
-    noise = (FEW_ONCE if once else FEW) * path_noise.of(gi.get("directions", TransportParameters.directions))
-    return max(nearest.error * uneven, math.hypot(finest * uneven, noise))
+    few = FEW_ONCE if gi.get("bounces", 1) == 1 else FEW
+    noise = few * path_noise.of(gi.get("directions", TransportParameters.directions))
+    return max(nearest.error * uneven, math.hypot(costs.finest_error(nearest) * uneven, noise))
 
 
 def _left_out(pilot: Pilot, bound: Bound, reflections: int) -> float:

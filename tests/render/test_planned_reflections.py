@@ -130,3 +130,10 @@ def test_few_directions_err_as_few_paths_do_where_those_are_noisy(closed_box):
         assert of(4, noisy) == pytest.approx(per_error * np.hypot(0.06, share * 0.6))
         assert of(64, noisy) < of(4, noisy)
         assert of(4, PathNoise(0.01)) == of(4, QUIET)
+
+
+def test_a_number_of_reflections_that_was_not_measured_errs_as_the_nearest_that_was(closed_box):
+    """As of a plan that was edited, by a trade of one's own."""
+    gi = {"method": "tiles", "directions": 8, "bounces": 1}
+    once, more = (transport_terms.judge(closed_box, PERCENT, costs(n), QUIET, gi).inexact for n in (1, 3))
+    assert more == once > 0
