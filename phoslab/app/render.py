@@ -117,18 +117,18 @@ def run(args: argparse.Namespace) -> int:
 
     check_writable(args.out)
     _check_film(args)
-    if args.scene.name.lower().endswith(BASIS):
+    if _is_basis(args.scene):
         return _say(args, *_from_basis(args))
     args.scene = sample_scenes.find_scene(args.scene)
     scene = load_scene(args.scene)
     if args.max_error is not None or args.plan is not None:
         return _say(args, *_by_plan(args, scene))
-    _refuse({"--trade": args.trade is not None}, "is for plans", "Leave it out, or add --max-error BOUND.")
+    _refuse(_given(args, ("trade",)), "is for plans", "Leave it out, or add --max-error BOUND.")
     transport = glow_options.transport(args)
     args.state_format = args.state_format or FORMATS[0]
     if args.out.suffix.lower() == FILM:
         return _say(args, [args.out], _film(args, scene, transport))
-    if args.out.name.lower().endswith(BASIS):
+    if _is_basis(args.out):
         _refuse(
             _given(args, ("solver", "step", "debug")),
             "cannot be chosen for a fade basis",
@@ -180,7 +180,7 @@ def _refuse_what_a_plan_decides(args: argparse.Namespace) -> None:
     saved = ("max_error", "at", "size") if args.plan is not None else ()
     decided = (*saved, "solver", "step", "state_format", *glow_options.NAMES, "debug")
     _refuse(
-        {**_given(args, decided), BASIS: args.out.name.lower().endswith(BASIS)},
+        {**_given(args, decided), BASIS: _is_basis(args.out)},
         "is decided by the plan, or cannot be had with one",
         "Leave it out, or render without --max-error and --plan.",
     )
@@ -194,12 +194,16 @@ def _refuse_what_a_basis_knows(args: argparse.Namespace) -> None:
         "belongs to rendering, and a fade basis is rendered already",
         "Leave it out, or name the scene in place of the basis.",
     )
-    if args.out.name.lower().endswith(BASIS):
+    if _is_basis(args.out):
         raise PhoslabError(
             "would be pictures of a basis, not a basis",
             file=args.out,
             remedy="Name an OUT that ends in .png or .exr alone, or copy the file.",
         )
+
+
+def _is_basis(path: Path) -> bool:
+    return path.name.lower().endswith(BASIS)
 
 
 def _given(args: argparse.Namespace, names: Sequence[str]) -> dict[str, bool]:
@@ -229,7 +233,7 @@ def _check_film(args: argparse.Namespace) -> None:
         raise PhoslabError("belongs to single pictures", field=name, remedy="Use --from and --to for a film.")
     if film and args.end is None:
         raise PhoslabError("is missing", field="--to", remedy="Say when the film ends, such as --to off+10s.")
-    if film and args.scene.name.lower().endswith(BASIS):
+    if film and _is_basis(args.scene):
         raise PhoslabError("holds single pictures", file=args.scene, remedy="Name the scene for a film.")
 
 
